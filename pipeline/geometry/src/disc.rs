@@ -1,0 +1,1 @@
+//! The exact leaf-pair test.

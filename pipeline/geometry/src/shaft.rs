@@ -1,0 +1,1 @@
+//! Shafts between boxes.

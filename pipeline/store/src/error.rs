@@ -1,0 +1,89 @@
+//! What can go wrong at the door to the disk.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A failure of the disk, with the file it happened to.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// An input does not exist.
+    #[error("{}: no such file", path.display())]
+    NotFound {
+        /// The file asked for.
+        path: PathBuf,
+    },
+    /// Something exists but is not a regular file.
+    #[error("{}: not a regular file", path.display())]
+    NotAFile {
+        /// The file asked for.
+        path: PathBuf,
+    },
+    /// The user may not do this.
+    #[error("{}: permission denied ({action})", path.display())]
+    Permission {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+    },
+    /// An output cannot be made where it was asked for.
+    #[error("{}: cannot create: {reason}", path.display())]
+    CannotCreate {
+        /// The output.
+        path: PathBuf,
+        /// Why not, and what to do.
+        reason: String,
+    },
+    /// The disk is full.
+    #[error("{}: no space left ({action}); free some and run again", path.display())]
+    NoSpace {
+        /// The file being written.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+    },
+    /// Another process is making the same output.
+    #[error("{}: locked by another run; wait for it to end", path.display())]
+    Locked {
+        /// The output.
+        path: PathBuf,
+    },
+    /// Any other failure of the operating system.
+    #[error("{}: {action} failed: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The run was asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+    /// The memory budget cannot hold what a stage needs at the least.
+    #[error("--memory {have_bytes} B is too small: {what} needs {need_bytes} B; give it more")]
+    Budget {
+        /// What had to be held.
+        what: &'static str,
+        /// What it needs.
+        need_bytes: u64,
+        /// What there is.
+        have_bytes: u64,
+    },
+}
+
+impl StoreError {
+    /// Names an error of the operating system by its path and what was tried.
+    pub fn io(path: &Path, action: &'static str, source: io::Error) -> StoreError {
+        let path = path.to_path_buf();
+        match source.kind() {
+            io::ErrorKind::NotFound => StoreError::NotFound { path },
+            io::ErrorKind::PermissionDenied => StoreError::Permission { path, action },
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                StoreError::NoSpace { path, action }
+            }
+            _ => StoreError::Io { path, action, source },
+        }
+    }
+}
