@@ -12,11 +12,11 @@
 
 pub mod batch;
 pub mod bounds;
-// pub mod disc;
+pub mod disc;
 pub mod grid;
 pub mod morton;
 pub mod normal;
-// pub mod shaft;
+pub mod shaft;
 
 pub use batch::{Intensity, PointBatch, Positions};
 pub use bounds::Box3;

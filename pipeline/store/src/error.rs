@@ -42,6 +42,19 @@ pub enum StoreError {
         /// What was tried.
         action: &'static str,
     },
+    /// The disk has less left than the run is known to need.
+    #[error(
+        "{}: needs about {} MiB of disk, {} MiB are left; free some or choose another folder",
+        path.display(), need_bytes >> 20, have_bytes >> 20
+    )]
+    TooLittleDisk {
+        /// The output.
+        path: PathBuf,
+        /// What the run will write at most.
+        need_bytes: u64,
+        /// What is left.
+        have_bytes: u64,
+    },
     /// Another process is making the same output.
     #[error("{}: locked by another run; wait for it to end", path.display())]
     Locked {
@@ -62,7 +75,10 @@ pub enum StoreError {
     #[error("interrupted")]
     Interrupted,
     /// The memory budget cannot hold what a stage needs at the least.
-    #[error("--memory {have_bytes} B is too small: {what} needs {need_bytes} B; give it more")]
+    #[error(
+        "--memory leaves {} MiB for {what}, which needs {} MiB; give it more",
+        have_bytes >> 20, (need_bytes >> 20) + 1
+    )]
     Budget {
         /// What had to be held.
         what: &'static str,
@@ -83,7 +99,11 @@ impl StoreError {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 StoreError::NoSpace { path, action }
             }
-            _ => StoreError::Io { path, action, source },
+            _ => StoreError::Io {
+                path,
+                action,
+                source,
+            },
         }
     }
 }

@@ -1,19 +1,28 @@
 //! Every door to the disk, and the limits a run has to keep.
 //!
 //! Inputs are opened and read here ([`input`]), finished files are mapped ([`map`]), artifacts are
-//! written beside their final name and appear whole ([`output`]), what does not fit in memory is
-//! spilled ([`spill`]). The memory budget of a run and its line to the person who waits for it are
-//! here too ([`budget`], [`watch`]), because every stage that touches the disk needs both. The
-//! room knows nothing of points, nodes or links: it moves bytes. It never prints.
+//! written beside their final name and appear whole ([`output`], [`sections`]), what does not fit
+//! in memory is spilled ([`spill`], [`runs`]). What a run holds in memory ([`memory`]) and its
+//! line to the person who waits for it ([`watch`]) are here too, because every stage that touches
+//! the disk needs both. The room knows nothing of points, nodes or links: it moves bytes. It never
+//! prints.
 //!
 //! Start reading at [`output::AtomicFile`].
 
 pub mod error;
 pub mod input;
+pub mod map;
+pub mod memory;
 pub mod output;
+pub mod runs;
+pub mod sections;
+pub mod spill;
 pub mod watch;
 
 pub use error::StoreError;
 pub use input::InputFile;
-pub use output::AtomicFile;
+pub use map::Mapped;
+pub use output::{AtomicFile, AtomicFolder};
+pub use sections::SectionFile;
+pub use spill::Spill;
 pub use watch::{Quiet, Watch};

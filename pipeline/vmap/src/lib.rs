@@ -1,1 +1,27 @@
-//! placeholder
+//! The byte layout of both artifacts: bytes in, bytes out.
+//!
+//! `FORMAT.md` beside this crate says what every byte means; the code follows it sentence by
+//! sentence. [`container`] is the file around the sections, [`records`] the fixed rows, [`tree`]
+//! the nodes and surfels with the routing of points to leaves, [`links`] the codec of the link
+//! blocks, [`map`] and [`octree`] the views a reader gets of a whole file. The room opens no file
+//! and trusts no byte: a view checks each block when it is first touched, and no input makes it
+//! panic, answer wrongly or allocate what the file does not hold.
+//!
+//! Start reading at `FORMAT.md`, then [`map::MapView`].
+
+pub mod bytes;
+pub mod container;
+pub mod error;
+pub mod frame;
+pub mod links;
+pub mod map;
+pub mod octree;
+pub mod records;
+pub mod tree;
+
+pub use container::{Container, Kind};
+pub use error::FormatError;
+pub use map::MapView;
+pub use octree::OctreeView;
+pub use records::{MapSummary, Node, OctreeSummary, Source, Split, Surfel};
+pub use tree::{Shape, Tree};

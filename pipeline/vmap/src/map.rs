@@ -1,0 +1,363 @@
+//! A map as its reader sees it: a view of the bytes of a whole file. Section 5 of FORMAT.md.
+
+use std::num::NonZeroU32;
+
+use crate::container::{Closing, Container, Kind, Section, Written, close};
+use crate::error::FormatError;
+use crate::frame::{CrsKind, FrameRecord};
+use crate::links::{self, LinkLists};
+use crate::records::{LinkBlock, MapSummary, NO_PARENT, Node, Record, Split, Surfel};
+use crate::tree::Nodes;
+
+/// The sections of a map in file order, without `sums`.
+pub const SECTIONS: [&str; 8] = [
+    "summary", "config", "nodes", "surfels", "links", "linkidx", "frame", "crs",
+];
+
+/// The largest `config` a reader accepts.
+const MAX_CONFIG_BYTES: u64 = 4096;
+
+/// An open map. Opening reads the header, the table and a few small rows; nodes, surfels and
+/// links are read, and their checksums checked, when they are asked for.
+#[derive(Debug)]
+pub struct MapView<'a> {
+    file: Container<'a>,
+    summary: MapSummary,
+    frame: FrameRecord,
+    nodes: Section,
+    surfels: Section,
+    links: Section,
+    index: Section,
+}
+
+impl<'a> MapView<'a> {
+    /// Opens the bytes of a whole file.
+    ///
+    /// # Errors
+    /// Where they are not a map that can be read, or what opening reads is damaged.
+    pub fn open(bytes: &'a [u8]) -> Result<MapView<'a>, FormatError> {
+        let file = Container::open(bytes, Kind::Map)?;
+        let summary: MapSummary = single(&file, "summary")?;
+        let frame: FrameRecord = single(&file, "frame")?;
+        let nodes = file.section("nodes", Node::BYTES as u32)?.clone();
+        let surfels = file.section("surfels", Surfel::BYTES as u32)?.clone();
+        let links = file.section("links", 0)?.clone();
+        let index = file.section("linkidx", LinkBlock::BYTES as u32)?.clone();
+        for (section, expected) in [(&nodes, summary.n_nodes), (&surfels, summary.n_surfels)] {
+            if section.n_records != u64::from(expected) {
+                let found = section.n_records;
+                return Err(section.broken(0, format!("{found} records, summary says {expected}")));
+            }
+        }
+        Ok(MapView {
+            file,
+            summary,
+            frame,
+            nodes,
+            surfels,
+            links,
+            index,
+        })
+    }
+
+    /// Gives the file around the sections.
+    pub fn file(&self) -> &Container<'a> {
+        &self.file
+    }
+
+    /// Gives the counts.
+    pub fn summary(&self) -> &MapSummary {
+        &self.summary
+    }
+
+    /// Gives the way from world units to the grid.
+    pub fn frame(&self) -> &FrameRecord {
+        &self.frame
+    }
+
+    /// Gives the kind and the bytes of the coordinate reference system.
+    ///
+    /// # Errors
+    /// Where the section is damaged.
+    pub fn crs(&self) -> Result<(CrsKind, &'a [u8]), FormatError> {
+        Ok((
+            self.frame.crs_kind,
+            self.file.read_all(self.file.section("crs", 0)?)?,
+        ))
+    }
+
+    /// Gives the canonical text of the keys that decided the content. [F-14]
+    ///
+    /// # Errors
+    /// Where the section is damaged.
+    pub fn config(&self) -> Result<&'a str, FormatError> {
+        let section = self.file.section("config", 0)?;
+        if section.len_bytes > MAX_CONFIG_BYTES {
+            return Err(section.broken(0, "longer than a configuration can be"));
+        }
+        let text = std::str::from_utf8(self.file.read_all(section)?);
+        text.map_err(|_| section.broken(0, "not UTF-8"))
+    }
+
+    /// Reads a surfel, `id` < `n_surfels`.
+    ///
+    /// # Errors
+    /// Where there is none of that id or its block is damaged.
+    pub fn surfel(&self, id: u32) -> Result<Surfel, FormatError> {
+        record(&self.file, &self.surfels, id.into())
+    }
+
+    /// Counts the link frames.
+    pub fn n_link_blocks(&self) -> u64 {
+        self.index.n_records
+    }
+
+    /// Reads a row of the link index.
+    ///
+    /// # Errors
+    /// Where there is no such row or its block is damaged.
+    pub fn link_block(&self, i: u64) -> Result<LinkBlock, FormatError> {
+        record(&self.file, &self.index, i)
+    }
+
+    /// Decodes a link frame, checking it.
+    ///
+    /// # Errors
+    /// Where the frame or its row of the index is damaged.
+    pub fn link_lists(&self, i: u64) -> Result<LinkLists, FormatError> {
+        let block = self.link_block(i)?;
+        let frame = self
+            .file
+            .read(&self.links, block.offset_bytes, block.len_bytes.into())?;
+        links::decode(
+            &block,
+            frame,
+            self.links.offset_bytes.saturating_add(block.offset_bytes),
+        )
+    }
+
+    /// Finds the frame whose range of links holds (a, b), if any.
+    ///
+    /// # Errors
+    /// Where a touched block of the index is damaged.
+    pub fn find_link_block(&self, a: u32, b: u32) -> Result<Option<u64>, FormatError> {
+        let (mut low, mut high) = (0, self.index.n_records);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            if self.link_block(middle)?.last < (a, b) {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        let found = low < self.index.n_records && self.link_block(low)?.first <= (a, b);
+        Ok(found.then_some(low))
+    }
+
+    /// Checks every byte and every rule of FORMAT.md.
+    ///
+    /// # Errors
+    /// The first damage found.
+    pub fn verify(&self) -> Result<(), FormatError> {
+        self.file.verify()?;
+        self.config()?;
+        self.verify_tree()?;
+        self.verify_links()
+    }
+
+    fn verify_tree(&self) -> Result<(), FormatError> {
+        let n = self.summary.n_nodes;
+        let mut surfel = 0;
+        // The open ancestors of the node at hand, with the points their children have so far.
+        let mut path: Vec<(u32, Node, u64)> = Vec::new();
+        for id in 0..n {
+            let node = self.node(id)?;
+            let bad = |what: &str| Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
+            while let Some(&(parent, row, points)) = path.last().filter(|p| p.1.end <= id) {
+                if points != row.n_points || row.end != id {
+                    return bad(&format!("the children of node {parent} do not add up"));
+                }
+                path.pop();
+            }
+            let parent = path.last().map_or(NO_PARENT, |p| p.0);
+            if node.parent != parent
+                || node.end <= id
+                || path.last().is_some_and(|p| node.end > p.1.end)
+            {
+                return bad("the subtree leaves its parent's");
+            }
+            if node.first_surfel != surfel || (id == 0 && (node.end != n || parent != NO_PARENT)) {
+                return bad("the subtree's surfels are not its leaves");
+            }
+            if let Some(p) = path.last_mut() {
+                p.2 += node.n_points;
+            }
+            if node.is_leaf() {
+                self.verify_leaf(id, &node)?;
+                surfel += 1;
+            } else {
+                path.push((id, node, 0));
+            }
+        }
+        if surfel != self.summary.n_surfels {
+            return Err(self
+                .surfels
+                .broken(0, format!("{surfel} leaves in the tree")));
+        }
+        Ok(())
+    }
+
+    fn verify_leaf(&self, id: u32, node: &Node) -> Result<(), FormatError> {
+        let surfel = self.surfel(node.first_surfel)?;
+        let same = surfel.node == id
+            && node.end == id + 1
+            && node.end_surfel == node.first_surfel + 1
+            && (surfel.n_points, surfel.first_code) == (node.n_points, node.first_code)
+            && (surfel.level, surfel.bin) == (node.level, node.bin);
+        if !same {
+            let at = u64::from(node.first_surfel) * Surfel::BYTES as u64;
+            return Err(self
+                .surfels
+                .broken(at, format!("differs from its leaf, node {id}")));
+        }
+        Ok(())
+    }
+
+    fn verify_links(&self) -> Result<(), FormatError> {
+        let (mut n_links, mut end, mut before) = (0u64, 0, None);
+        let mut n_pairs = 0u128;
+        for i in 0..self.index.n_records {
+            let block = self.link_block(i)?;
+            let at = i * LinkBlock::BYTES as u64;
+            if block.offset_bytes != end || before.is_some_and(|b| b >= block.first) {
+                return Err(self.index.broken(at, "frames are not in order"));
+            }
+            for (a, b) in self.link_lists(i)?.iter() {
+                if b >= self.summary.n_nodes {
+                    return Err(self
+                        .index
+                        .broken(at, format!("a link to node {b} of no tree")));
+                }
+                let (a, b) = (self.node(a)?, self.node(b)?);
+                n_pairs += u128::from(a.end_surfel - a.first_surfel)
+                    * u128::from(b.end_surfel - b.first_surfel);
+            }
+            n_links += u64::from(block.n_links);
+            end += u64::from(block.len_bytes);
+            before = Some(block.last);
+        }
+        if end != self.links.len_bytes || n_links != self.summary.n_links {
+            return Err(self.links.broken(end, "frames do not fill the section"));
+        }
+        if n_pairs != self.summary.n_visible_pairs {
+            return Err(self
+                .links
+                .broken(0, "links do not cover the stated visible pairs"));
+        }
+        Ok(())
+    }
+}
+
+impl Nodes for MapView<'_> {
+    type Error = FormatError;
+
+    fn n_nodes(&self) -> u32 {
+        self.summary.n_nodes
+    }
+
+    fn node(&self, id: u32) -> Result<Node, FormatError> {
+        let node: Node = record(&self.file, &self.nodes, id.into())?;
+        let surfels =
+            node.first_surfel < node.end_surfel && node.end_surfel <= self.summary.n_surfels;
+        let leaf = node.is_leaf() == (node.end == id.saturating_add(1));
+        if node.end <= id || node.end > self.summary.n_nodes || !surfels || !leaf {
+            let what = format!("node {id} has an impossible subtree");
+            return Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
+        }
+        if node.parent != NO_PARENT && node.parent >= id || (node.parent == NO_PARENT) != (id == 0)
+        {
+            let what = format!("node {id} has an impossible parent");
+            return Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
+        }
+        Ok(node)
+    }
+}
+
+/// Reads a record of a section.
+pub(crate) fn record<R: Record>(
+    file: &Container<'_>,
+    section: &Section,
+    i: u64,
+) -> Result<R, FormatError> {
+    let at = i.saturating_mul(R::BYTES as u64);
+    let bytes = file.read(section, at, R::BYTES as u64)?;
+    R::from_bytes(bytes)
+        .ok_or_else(|| section.broken(at, format!("record {i} has an impossible value")))
+}
+
+/// Reads the only record of a section.
+pub(crate) fn single<R: Record>(file: &Container<'_>, name: &str) -> Result<R, FormatError> {
+    let section = file.section(name, R::BYTES as u32)?;
+    if section.n_records != 1 {
+        return Err(section.broken(0, format!("{} records, not one", section.n_records)));
+    }
+    record(file, section, 0)
+}
+
+/// Makes what closes a map, from its sections in the order of [`SECTIONS`].
+pub fn close_map(sections: &[Written]) -> Closing {
+    debug_assert!(
+        sections.iter().map(|s| s.name).eq(SECTIONS),
+        "sections in file order"
+    );
+    close(Kind::Map, sections)
+}
+
+/// Gives the canonical configuration text. [F-14]
+pub fn config_text(
+    max_level: u8,
+    leaf_capacity: u64,
+    shape: crate::Shape,
+    profile: pvmap_geometry::disc::Profile,
+    pairs: Option<(NonZeroU32, u128)>,
+) -> String {
+    use crate::Shape;
+    use pvmap_geometry::disc::Profile;
+    let tree = match shape {
+        Shape::Binned => "binned",
+        Shape::Paper => "paper",
+    };
+    let profile = match profile {
+        Profile::Patch => "patch",
+        Profile::Paper => "paper",
+    };
+    let mut text = format!(
+        "max_level = {max_level}\nleaf_capacity = {leaf_capacity}\ntree = \"{tree}\"\nprofile = \"{profile}\"\n"
+    );
+    if let Some((n, digest)) = pairs {
+        text.push_str(&format!("interaction_pairs = \"{n}:{digest:032x}\"\n"));
+    }
+    text
+}
+
+/// Reads the profile out of a canonical configuration text.
+pub fn profile_of(config: &str) -> Option<pvmap_geometry::disc::Profile> {
+    use pvmap_geometry::disc::Profile;
+    config.lines().find_map(|line| match line {
+        "profile = \"patch\"" => Some(Profile::Patch),
+        "profile = \"paper\"" => Some(Profile::Paper),
+        _ => None,
+    })
+}
+
+impl Split {
+    /// Says how many children a node of this split can have.
+    pub fn n_slots(self) -> u8 {
+        match self {
+            Split::Leaf => 0,
+            Split::Octants => 8,
+            Split::Quadrants => 4,
+            Split::Bins => 7,
+        }
+    }
+}

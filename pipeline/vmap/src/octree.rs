@@ -1,0 +1,578 @@
+//! An octree as its reader sees it: a view of the bytes of `points.pvo`. Section 4 of FORMAT.md.
+
+use pvmap_geometry::normal::Normal;
+use pvmap_geometry::{Frame, GridPoint};
+
+use crate::bytes::{FieldReader, FieldWriter};
+use crate::container::{Closing, Container, Kind, Section, Written, close};
+use crate::error::FormatError;
+use crate::frame::{CrsKind, FrameRecord};
+use crate::map::{record, single};
+use crate::records::{OctreeSummary, Record, Source};
+use crate::tree::RoutingKey;
+
+/// The sections of an octree in file order, without `sums`.
+pub const SECTIONS: [&str; 9] = [
+    "summary", "columns", "sources", "names", "points", "normals", "codes", "frame", "crs",
+];
+/// The file inside `NAME.octree/`.
+pub const FILE_NAME: &str = "points.pvo";
+/// Points from one entry of section `codes` to the next. [F-12]
+pub const CODE_STRIDE: u64 = 4096;
+/// Bytes of a row of section `normals`.
+pub const NORMAL_BYTES: usize = 8;
+
+/// What a column holds. [F-9]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub enum ColumnType {
+    /// Three i32.
+    I32x3 = 1,
+    /// Three f32.
+    F32x3 = 2,
+    /// Three f64.
+    F64x3 = 3,
+    /// One u32.
+    U32 = 4,
+    /// One u64.
+    U64 = 5,
+    /// Three u16.
+    U16x3 = 6,
+    /// One u16.
+    U16 = 7,
+    /// One f32.
+    F32 = 8,
+    /// One u8.
+    U8 = 9,
+    /// One f64.
+    F64 = 10,
+}
+
+impl ColumnType {
+    const ALL: [ColumnType; 10] = [
+        ColumnType::I32x3,
+        ColumnType::F32x3,
+        ColumnType::F64x3,
+        ColumnType::U32,
+        ColumnType::U64,
+        ColumnType::U16x3,
+        ColumnType::U16,
+        ColumnType::F32,
+        ColumnType::U8,
+        ColumnType::F64,
+    ];
+
+    /// Gives its size.
+    pub fn n_bytes(self) -> usize {
+        match self {
+            ColumnType::F64x3 => 24,
+            ColumnType::I32x3 | ColumnType::F32x3 => 12,
+            ColumnType::U64 | ColumnType::F64 => 8,
+            ColumnType::U16x3 => 6,
+            ColumnType::U32 | ColumnType::F32 => 4,
+            ColumnType::U16 => 2,
+            ColumnType::U8 => 1,
+        }
+    }
+}
+
+/// The columns a point record can have, in record order.
+pub const COLUMN_NAMES: [&str; 8] = [
+    "position",
+    "record",
+    "source",
+    "normal",
+    "color",
+    "intensity",
+    "class",
+    "gps_time",
+];
+
+/// One column of a point record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Column {
+    /// One of [`COLUMN_NAMES`].
+    pub name: &'static str,
+    /// What it holds.
+    pub kind: ColumnType,
+    /// Where in the record.
+    pub offset: usize,
+}
+
+/// Which columns a point record has and where.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Schema {
+    columns: Vec<Column>,
+    record_bytes: usize,
+}
+
+/// Bytes of a row of section `columns`.
+const COLUMN_BYTES: usize = 32;
+
+impl Schema {
+    /// Lays out columns one after another without padding, in the order of [`COLUMN_NAMES`].
+    /// The first is `position`, the second `record`.
+    pub fn new(kinds: &[(&'static str, ColumnType)]) -> Schema {
+        let mut record_bytes = 0;
+        let columns = kinds
+            .iter()
+            .map(|&(name, kind)| {
+                let column = Column {
+                    name,
+                    kind,
+                    offset: record_bytes,
+                };
+                record_bytes += kind.n_bytes();
+                column
+            })
+            .collect();
+        Schema {
+            columns,
+            record_bytes,
+        }
+    }
+
+    /// Gives the size of a record.
+    pub fn record_bytes(&self) -> usize {
+        self.record_bytes
+    }
+
+    /// Gives the columns in record order.
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    /// Finds a column.
+    pub fn column(&self, name: &str) -> Option<Column> {
+        self.columns.iter().copied().find(|c| c.name == name)
+    }
+
+    /// Gives the rows of section `columns`.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = vec![0; self.columns.len() * COLUMN_BYTES];
+        for (row, c) in bytes.chunks_exact_mut(COLUMN_BYTES).zip(&self.columns) {
+            row[..c.name.len()].copy_from_slice(c.name.as_bytes());
+            let mut w = FieldWriter::new(&mut row[16..]);
+            w.u32(c.kind as u32);
+            w.u32(c.offset as u32);
+        }
+        bytes
+    }
+
+    /// Reads the rows of section `columns`; `None` where they are not a layout of [`Schema::new`].
+    pub fn from_bytes(bytes: &[u8]) -> Option<Schema> {
+        let kinds: Option<Vec<_>> = bytes
+            .chunks_exact(COLUMN_BYTES)
+            .map(|row| {
+                let name = COLUMN_NAMES.into_iter().find(|n| {
+                    row[..16]
+                        .strip_prefix(n.as_bytes())
+                        .is_some_and(|r| r.iter().all(|&b| b == 0))
+                })?;
+                let kind = FieldReader::new(&row[16..]).u32();
+                Some((
+                    name,
+                    ColumnType::ALL.into_iter().find(|&k| k as u32 == kind)?,
+                ))
+            })
+            .collect();
+        let schema = Schema::new(&kinds?);
+        let legal = schema
+            .columns
+            .iter()
+            .all(|c| kinds_of(c.name).contains(&c.kind));
+        let starts =
+            schema.columns.first()?.name == "position" && schema.columns.get(1)?.name == "record";
+        (legal && starts && schema.to_bytes() == bytes).then_some(schema)
+    }
+}
+
+/// Gives the types a column may have. [F-9]
+fn kinds_of(name: &str) -> &'static [ColumnType] {
+    match name {
+        "position" => &[ColumnType::I32x3, ColumnType::F32x3, ColumnType::F64x3],
+        "record" => &[ColumnType::U32, ColumnType::U64],
+        "source" => &[ColumnType::U32],
+        "normal" => &[ColumnType::F32x3],
+        "color" => &[ColumnType::U16x3],
+        "intensity" => &[ColumnType::U16, ColumnType::F32],
+        "class" => &[ColumnType::U8],
+        "gps_time" => &[ColumnType::F64],
+        _ => &[],
+    }
+}
+
+/// How the positions of a point record become grid positions.
+#[derive(Debug, Clone)]
+pub struct Placement {
+    frame: Frame,
+    kind: ColumnType,
+    source_at: Option<usize>,
+    sources: Vec<Source>,
+}
+
+impl Placement {
+    /// Joins a schema with the frame and the sources of its positions.
+    pub fn new(schema: &Schema, frame: Frame, sources: &[Source]) -> Placement {
+        Placement {
+            frame,
+            kind: schema.columns[0].kind,
+            source_at: schema.column("source").map(|c| c.offset),
+            sources: sources.to_vec(),
+        }
+    }
+
+    /// Gives the frame.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    fn source(&self, record: &[u8]) -> Option<&Source> {
+        let i = self
+            .source_at
+            .map_or(0, |at| FieldReader::new(&record[at..]).u32());
+        self.sources.get(i as usize)
+    }
+
+    /// Gives the position of a record on the common lattice; `None` where it names no source.
+    #[inline]
+    pub fn lattice(&self, record: &[u8]) -> Option<[i64; 3]> {
+        let mut r = FieldReader::new(record);
+        let x = [0; 3].map(|_| i64::from(r.i32()));
+        let shift = self.source(record)?.shift;
+        Some([0, 1, 2].map(|i| x[i] + shift[i]))
+    }
+
+    /// Gives the world position of a record; `None` where it names no source.
+    #[inline]
+    pub fn world(&self, record: &[u8]) -> Option<[f64; 3]> {
+        let mut r = FieldReader::new(record);
+        match self.kind {
+            ColumnType::F32x3 => Some([0; 3].map(|_| f64::from(r.f32()))),
+            ColumnType::F64x3 => Some([0; 3].map(|_| r.f64())),
+            _ => {
+                let source = self.source(record)?;
+                let x = [0; 3].map(|_| r.i32());
+                Some([0, 1, 2].map(|i| f64::from(x[i]) * source.scale[i] + source.offset[i]))
+            }
+        }
+    }
+
+    /// Gives the grid position of a record; `None` where it names no source.
+    #[inline]
+    pub fn grid(&self, record: &[u8]) -> Option<GridPoint> {
+        match self.frame {
+            Frame::Lattice { .. } => Some(self.frame.grid_of_lattice(self.lattice(record)?)),
+            Frame::World { .. } => Some(self.frame.grid_of_world(self.world(record)?)),
+        }
+    }
+}
+
+/// A row of section `normals`. [F-10]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PointNormal {
+    /// Length 2^14, or zero without one.
+    pub normal: Normal,
+    /// Whether its side is known.
+    pub oriented: bool,
+    /// Whether it came from the point's source.
+    pub from_source: bool,
+}
+
+impl PointNormal {
+    /// Gives the flags of [F-10].
+    pub fn flags(&self) -> u16 {
+        u16::from(self.normal != [0; 3])
+            | u16::from(self.oriented) << 1
+            | u16::from(self.from_source) << 2
+    }
+
+    /// Gives its bytes.
+    pub fn to_bytes(&self) -> [u8; NORMAL_BYTES] {
+        let mut bytes = [0; NORMAL_BYTES];
+        let mut w = FieldWriter::new(&mut bytes);
+        w.three(self.normal, FieldWriter::i16);
+        w.u16(self.flags());
+        bytes
+    }
+
+    /// Reads it; `None` where the flags and the normal contradict each other.
+    pub fn from_bytes(bytes: &[u8]) -> Option<PointNormal> {
+        let mut r = FieldReader::new(bytes);
+        let normal = [0; 3].map(|_| r.i16());
+        let flags = r.u16();
+        let found = PointNormal {
+            normal,
+            oriented: flags & 2 != 0,
+            from_source: flags & 4 != 0,
+        };
+        let short = normal.iter().all(|v| v.unsigned_abs() <= 1 << 14);
+        (short && found.flags() == flags).then_some(found)
+    }
+}
+
+/// Gives the share of one point in the order-free digest. [F-11]
+pub fn digest_of(key: &RoutingKey) -> u128 {
+    let mut bytes = [0; 20];
+    let mut w = FieldWriter::new(&mut bytes);
+    w.three(key.g, FieldWriter::u32);
+    w.three(key.normal, FieldWriter::i16);
+    w.u16(u16::from(key.normal != [0; 3]) | u16::from(key.oriented) << 1);
+    xxhash_rust::xxh3::xxh3_128(&bytes)
+}
+
+/// An open octree.
+#[derive(Debug)]
+pub struct OctreeView<'a> {
+    file: Container<'a>,
+    summary: OctreeSummary,
+    frame: FrameRecord,
+    schema: Schema,
+    placement: Placement,
+    points: Section,
+    normals: Section,
+    codes: Section,
+}
+
+impl<'a> OctreeView<'a> {
+    /// Opens the bytes of a whole file.
+    ///
+    /// # Errors
+    /// Where they are not an octree that can be read, or what opening reads is damaged.
+    pub fn open(bytes: &'a [u8]) -> Result<OctreeView<'a>, FormatError> {
+        let file = Container::open(bytes, Kind::Octree)?;
+        let summary: OctreeSummary = single(&file, "summary")?;
+        let frame: FrameRecord = single(&file, "frame")?;
+        let columns = file.section("columns", COLUMN_BYTES as u32)?;
+        if columns.n_records > COLUMN_NAMES.len() as u64 {
+            return Err(columns.broken(0, "more columns than there are names"));
+        }
+        let schema = Schema::from_bytes(file.read_all(columns)?)
+            .ok_or_else(|| columns.broken(0, "not a layout of known columns"))?;
+        let rows = file.section("sources", Source::BYTES as u32)?;
+        let sources: Vec<Source> = (0..rows.n_records)
+            .map(|i| record(&file, rows, i))
+            .collect::<Result<_, _>>()?;
+        let points = file
+            .section("points", schema.record_bytes() as u32)?
+            .clone();
+        let normals = file.section("normals", NORMAL_BYTES as u32)?.clone();
+        let codes = file.section("codes", 8)?.clone();
+        let n = summary.n_points;
+        let stored: u128 = sources.iter().map(|s| u128::from(s.n_stored)).sum();
+        let counts = points.n_records == n
+            && (normals.n_records == n || normals.n_records == 0)
+            && codes.n_records == n.div_ceil(CODE_STRIDE)
+            && stored == u128::from(n);
+        if !counts {
+            return Err(points.broken(0, format!("summary says {n} points, sections differ")));
+        }
+        let placement = Placement::new(&schema, frame.frame, &sources);
+        let lattice = matches!(frame.frame, Frame::Lattice { .. });
+        if lattice && schema.columns[0].kind != ColumnType::I32x3 {
+            return Err(columns.broken(0, "a lattice frame with real positions"));
+        }
+        Ok(OctreeView {
+            file,
+            summary,
+            frame,
+            schema,
+            placement,
+            points,
+            normals,
+            codes,
+        })
+    }
+
+    /// Gives the file around the sections.
+    pub fn file(&self) -> &Container<'a> {
+        &self.file
+    }
+
+    /// Gives the counts.
+    pub fn summary(&self) -> &OctreeSummary {
+        &self.summary
+    }
+
+    /// Gives the way from world units to the grid.
+    pub fn frame(&self) -> &FrameRecord {
+        &self.frame
+    }
+
+    /// Gives the kind and the bytes of the coordinate reference system.
+    ///
+    /// # Errors
+    /// Where the section is damaged.
+    pub fn crs(&self) -> Result<(CrsKind, &'a [u8]), FormatError> {
+        Ok((
+            self.frame.crs_kind,
+            self.file.read_all(self.file.section("crs", 0)?)?,
+        ))
+    }
+
+    /// Gives the layout of the point records.
+    pub fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    /// Gives the sources in the order the user named them.
+    pub fn sources(&self) -> &[Source] {
+        &self.placement.sources
+    }
+
+    /// Gives the file name of a source.
+    ///
+    /// # Errors
+    /// Where the section is damaged.
+    pub fn source_name(&self, source: &Source) -> Result<String, FormatError> {
+        let names = self.file.section("names", 0)?;
+        let bytes = self.file.read(names, source.name.0, source.name.1.into())?;
+        Ok(String::from_utf8_lossy(bytes).into_owned())
+    }
+
+    /// Says whether section `normals` has rows.
+    pub fn has_normals(&self) -> bool {
+        self.normals.n_records > 0
+    }
+
+    /// Reads a range of points: record bytes, and normal rows where there are any.
+    ///
+    /// # Errors
+    /// Where the range leaves the points or a block is damaged.
+    pub fn points(&self, first: u64, n: u64) -> Result<Points<'_>, FormatError> {
+        let stride = self.schema.record_bytes() as u64;
+        let at = first.saturating_mul(stride);
+        let records = self.file.read(&self.points, at, n.saturating_mul(stride))?;
+        let row = NORMAL_BYTES as u64;
+        let normals = match self.has_normals() {
+            true => self.file.read(
+                &self.normals,
+                first.saturating_mul(row),
+                n.saturating_mul(row),
+            )?,
+            false => &[],
+        };
+        Ok(Points {
+            view: self,
+            first,
+            records,
+            normals,
+        })
+    }
+
+    /// Finds the first point whose Morton code is ≥ `code`, to within one stride: the point lies
+    /// in `found..found + CODE_STRIDE`.
+    ///
+    /// # Errors
+    /// Where a touched block is damaged.
+    pub fn lower_bound(&self, code: u64) -> Result<u64, FormatError> {
+        let (mut low, mut high) = (0, self.codes.n_records);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let bytes = self.file.read(&self.codes, middle * 8, 8)?;
+            if FieldReader::new(bytes).u64() < code {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        Ok(low.saturating_sub(1) * CODE_STRIDE)
+    }
+
+    /// Checks every byte and every rule of FORMAT.md, order and digest of the points included.
+    ///
+    /// # Errors
+    /// The first damage found.
+    pub fn verify(&self) -> Result<(), FormatError> {
+        self.file.verify()?;
+        let names = self.file.section("names", 0)?;
+        for source in self.sources() {
+            self.file.read(names, source.name.0, source.name.1.into())?;
+        }
+        let codes = self.file.read_all(&self.codes)?;
+        let (mut before, mut digest, mut first) = (0, 0u128, 0);
+        while first < self.summary.n_points {
+            let n = CODE_STRIDE.min(self.summary.n_points - first);
+            let at = first * self.schema.record_bytes() as u64;
+            let indexed = FieldReader::new(&codes[(first / CODE_STRIDE * 8) as usize..]).u64();
+            for (i, point) in self.points(first, n)?.iter().enumerate() {
+                let key = point?.key;
+                let code = pvmap_geometry::morton::encode(key.g);
+                if code < before || (i == 0 && code != indexed) {
+                    return Err(self.points.broken(at, "points are not in Morton order"));
+                }
+                before = code;
+                digest = digest.wrapping_add(digest_of(&key));
+            }
+            first += n;
+        }
+        if digest != self.summary.digest {
+            return Err(self
+                .points
+                .broken(0, "the points are not those of the digest"));
+        }
+        Ok(())
+    }
+}
+
+/// A range of points of an open octree.
+#[derive(Debug, Clone, Copy)]
+pub struct Points<'a> {
+    view: &'a OctreeView<'a>,
+    first: u64,
+    records: &'a [u8],
+    normals: &'a [u8],
+}
+
+/// One point of an octree.
+#[derive(Debug, Clone, Copy)]
+pub struct Point<'a> {
+    /// What routes it.
+    pub key: RoutingKey,
+    /// Its record, laid out by the schema.
+    pub record: &'a [u8],
+}
+
+impl<'a> Points<'a> {
+    /// Walks the points in order.
+    pub fn iter(&self) -> impl Iterator<Item = Result<Point<'a>, FormatError>> + use<'a> {
+        let Points {
+            view,
+            first,
+            records,
+            normals,
+        } = *self;
+        let stride = view.schema.record_bytes();
+        records
+            .chunks_exact(stride)
+            .enumerate()
+            .map(move |(i, record)| {
+                let broken = |section: &Section, size: usize, what: &str| {
+                    section.broken((first + i as u64) * size as u64, what)
+                };
+                let g = view.placement.grid(record);
+                let g = g.ok_or_else(|| broken(&view.points, stride, "a point of no source"))?;
+                let normal = match normals.get(i * NORMAL_BYTES..(i + 1) * NORMAL_BYTES) {
+                    None => PointNormal::default(),
+                    Some(row) => PointNormal::from_bytes(row).ok_or_else(|| {
+                        broken(&view.normals, NORMAL_BYTES, "an impossible normal")
+                    })?,
+                };
+                let key = RoutingKey {
+                    g,
+                    normal: normal.normal,
+                    oriented: normal.oriented,
+                };
+                Ok(Point { key, record })
+            })
+    }
+}
+
+/// Makes what closes an octree, from its sections in the order of [`SECTIONS`].
+pub fn close_octree(sections: &[Written]) -> Closing {
+    debug_assert!(
+        sections.iter().map(|s| s.name).eq(SECTIONS),
+        "sections in file order"
+    );
+    close(Kind::Octree, sections)
+}
