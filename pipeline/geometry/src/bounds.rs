@@ -11,10 +11,7 @@ pub struct Box3 {
 
 impl Box3 {
     /// The box of nothing: joining anything to it gives that thing.
-    pub const EMPTY: Box3 = Box3 {
-        min: [i32::MAX; 3],
-        max: [i32::MIN; 3],
-    };
+    pub const EMPTY: Box3 = Box3 { min: [i32::MAX; 3], max: [i32::MIN; 3] };
 
     /// Boxes a single place.
     #[inline]
@@ -49,10 +46,7 @@ impl Box3 {
     /// Gives the box grown by `by` steps on every side.
     #[inline]
     pub fn grown(&self, by: i32) -> Box3 {
-        Box3 {
-            min: self.min.map(|v| v - by),
-            max: self.max.map(|v| v + by),
-        }
+        Box3 { min: self.min.map(|v| v - by), max: self.max.map(|v| v + by) }
     }
 
     /// Gives the squared distance from a place to the box, 0 inside.
@@ -74,21 +68,9 @@ mod tests {
 
     #[test]
     fn joining_and_meeting() {
-        let a = Box3 {
-            min: [0, 0, 0],
-            max: [4, 4, 4],
-        };
-        let b = Box3 {
-            min: [3, -2, 5],
-            max: [9, 1, 6],
-        };
-        assert_eq!(
-            a.join(&b),
-            Box3 {
-                min: [0, -2, 0],
-                max: [9, 4, 6]
-            }
-        );
+        let a = Box3 { min: [0, 0, 0], max: [4, 4, 4] };
+        let b = Box3 { min: [3, -2, 5], max: [9, 1, 6] };
+        assert_eq!(a.join(&b), Box3 { min: [0, -2, 0], max: [9, 4, 6] });
         assert!(a.meet(&b).is_empty());
         assert_eq!(Box3::EMPTY.join(&a), a);
         assert_eq!(a.distance2([7, 4, -4]), 25);

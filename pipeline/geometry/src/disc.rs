@@ -87,11 +87,7 @@ fn crossing(n: Normal, d: [i64; 3], w: [i64; 3]) -> Crossing {
     if s < 0 {
         (s, h) = (-s, -h);
     }
-    if 0 < h && h < s {
-        Crossing::At { h, s }
-    } else {
-        Crossing::Never
-    }
+    if 0 < h && h < s { Crossing::At { h, s } } else { Crossing::Never }
 }
 
 /// Decides whether a closed segment touches a closed box, by the six separating axes.

@@ -45,12 +45,7 @@ impl Frame {
     pub fn of_lattice(scale: [f64; 3], offset: [f64; 3], min: [i64; 3], max: [i64; 3]) -> Frame {
         let side = |i: usize| (max[i] - min[i]) as f64 * scale[i];
         let extent = side(0).max(side(1)).max(side(2));
-        Frame::Lattice {
-            scale,
-            offset,
-            min,
-            extent,
-        }
+        Frame::Lattice { scale, offset, min, extent }
     }
 
     /// Frames points with real coordinates by their bounds (`max` ≥ `min` on every axis).
@@ -71,10 +66,7 @@ impl Frame {
     /// Places a stored lattice point on the grid. The frame is `Lattice`, `x` ≥ its minimum.
     #[inline(always)]
     pub fn grid_of_lattice(&self, x: [i64; 3]) -> GridPoint {
-        let Frame::Lattice {
-            scale, min, extent, ..
-        } = self
-        else {
+        let Frame::Lattice { scale, min, extent, .. } = self else {
             unreachable!("lattice coordinates in a world frame")
         };
         [0, 1, 2].map(|i| step((x[i] - min[i]) as f64 * scale[i], *extent))
@@ -101,9 +93,7 @@ impl Frame {
         for i in 0..3 {
             let delta = match *self {
                 Frame::World { min, .. } => x[i] - min[i],
-                Frame::Lattice {
-                    scale, offset, min, ..
-                } => {
+                Frame::Lattice { scale, offset, min, .. } => {
                     let steps = (x[i] - offset[i]) / scale[i];
                     let whole = steps.round();
                     let near = (steps - whole).abs() <= LATTICE_SNAP;
@@ -128,9 +118,9 @@ impl Frame {
         let unit = self.extent() / f64::from(GRID_MAX);
         [0, 1, 2].map(|i| match *self {
             Frame::World { min, .. } => min[i] + g[i] * unit,
-            Frame::Lattice {
-                scale, offset, min, ..
-            } => min[i] as f64 * scale[i] + offset[i] + g[i] * unit,
+            Frame::Lattice { scale, offset, min, .. } => {
+                min[i] as f64 * scale[i] + offset[i] + g[i] * unit
+            }
         })
     }
 
@@ -166,19 +156,13 @@ mod tests {
     fn n07_zero_extent_is_coordinate_zero() {
         let f = Frame::of_lattice([0.001; 3], [5.0; 3], [7; 3], [7; 3]);
         assert_eq!(f.grid_of_lattice([7; 3]), [0; 3]);
-        assert_eq!(
-            Frame::of_world([1.0; 3], [1.0; 3]).grid_of_world([1.0; 3]),
-            [0; 3]
-        );
+        assert_eq!(Frame::of_world([1.0; 3], [1.0; 3]).grid_of_world([1.0; 3]), [0; 3]);
     }
 
     #[test]
     fn a_query_outside_the_cube_is_refused() {
         let f = Frame::of_world([0.0; 3], [2.0, 1.0, 1.0]);
-        assert_eq!(
-            f.grid_of_query([2.0, 0.0, 1.5]),
-            Ok([GRID_MAX, 0, GRID_MAX / 4 * 3 + 2])
-        );
+        assert_eq!(f.grid_of_query([2.0, 0.0, 1.5]), Ok([GRID_MAX, 0, GRID_MAX / 4 * 3 + 2]));
         for bad in [-1e-9, 2.0000001, f64::NAN, f64::INFINITY] {
             assert_eq!(f.grid_of_query([0.0, bad, 0.0]), Err(OutsideCube));
         }

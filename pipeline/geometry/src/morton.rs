@@ -17,11 +17,7 @@ pub fn encode(g: GridPoint) -> u64 {
 /// Gives the lowest corner, in grid steps, of the cell of one Morton code.
 #[inline]
 pub fn decode(code: u64) -> GridPoint {
-    [
-        gather(code) << 1,
-        gather(code >> 1) << 1,
-        gather(code >> 2) << 1,
-    ]
+    [gather(code) << 1, gather(code >> 1) << 1, gather(code >> 2) << 1]
 }
 
 /// Gives the half-open range of Morton codes under the cell of `level` that holds `code`.

@@ -63,11 +63,7 @@ pub fn dominant_axis<T: Into<i64> + Copy>(v: [T; 3]) -> usize {
 /// where that is zero, its first component that is not.
 #[inline]
 pub fn canonical(n: Normal, axis: usize) -> Normal {
-    let key = if n[axis] != 0 {
-        n[axis]
-    } else {
-        n.into_iter().find(|&c| c != 0).unwrap_or(0)
-    };
+    let key = if n[axis] != 0 { n[axis] } else { n.into_iter().find(|&c| c != 0).unwrap_or(0) };
     if key < 0 { n.map(|c| -c) } else { n }
 }
 
@@ -117,12 +113,7 @@ mod tests {
 
     #[test]
     fn n29_a_broken_normal_is_no_normal() {
-        for bad in [
-            [0.0; 3],
-            [f32::NAN, 1.0, 0.0],
-            [0.0, f32::INFINITY, 0.0],
-            [-0.0; 3],
-        ] {
+        for bad in [[0.0; 3], [f32::NAN, 1.0, 0.0], [0.0, f32::INFINITY, 0.0], [-0.0; 3]] {
             assert_eq!(quantise(bad), None);
         }
     }

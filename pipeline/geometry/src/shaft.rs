@@ -28,11 +28,7 @@ struct Side {
 impl Shaft {
     /// Spans the shaft between two boxes, neither of them empty.
     pub fn new(a: &Box3, b: &Box3) -> Shaft {
-        let mut shaft = Shaft {
-            around: a.join(b),
-            sides: [Side::default(); 12],
-            n_sides: 0,
-        };
+        let mut shaft = Shaft { around: a.join(b), sides: [Side::default(); 12], n_sides: 0 };
         for (u, v) in [(0, 1), (1, 2), (2, 0)] {
             for (outer_u, outer_v) in [(-1, -1), (-1, 1), (1, -1), (1, 1)] {
                 let (au, av) = (corner(a, u, outer_u), corner(a, v, outer_v));
@@ -44,13 +40,7 @@ impl Shaft {
                     let p = f64::from(outer_u * dv.abs());
                     let q = f64::from(outer_v * du.abs());
                     let r = p * f64::from(au) + q * f64::from(av);
-                    shaft.sides[shaft.n_sides] = Side {
-                        u: u as u8,
-                        v: v as u8,
-                        p,
-                        q,
-                        r,
-                    };
+                    shaft.sides[shaft.n_sides] = Side { u: u as u8, v: v as u8, p, q, r };
                     shaft.n_sides += 1;
                 }
             }
@@ -68,16 +58,8 @@ impl Shaft {
         }
         self.sides[..self.n_sides].iter().any(|side| {
             let (u, v) = (usize::from(side.u), usize::from(side.v));
-            let x = if side.p > 0.0 {
-                other.min[u]
-            } else {
-                other.max[u]
-            };
-            let y = if side.q > 0.0 {
-                other.min[v]
-            } else {
-                other.max[v]
-            };
+            let x = if side.p > 0.0 { other.min[u] } else { other.max[u] };
+            let y = if side.q > 0.0 { other.min[v] } else { other.max[v] };
             side.p * f64::from(x) + side.q * f64::from(y) > side.r
         })
     }
@@ -95,14 +77,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn boxes(side: i32) -> impl Strategy<Value = Box3> {
-        (
-            prop::array::uniform3(0..100i32),
-            prop::array::uniform3(0..side),
-        )
-            .prop_map(|(min, size)| Box3 {
-                min,
-                max: [0, 1, 2].map(|i| min[i] + size[i]),
-            })
+        (prop::array::uniform3(0..100i32), prop::array::uniform3(0..side))
+            .prop_map(|(min, size)| Box3 { min, max: [0, 1, 2].map(|i| min[i] + size[i]) })
     }
 
     proptest! {

@@ -90,23 +90,14 @@ fn random_disc(rng: &mut Rng, size: i32) -> Disc {
     let r = rng.u64(0..=size as u64 / 4);
     let h = rng.i32(1..=1 + size / 8);
     let limit = Box3::at(centroid).grown(h);
-    Disc {
-        centroid,
-        normal,
-        two_sided: rng.bool(),
-        radius2: r * r,
-        limit,
-    }
+    Disc { centroid, normal, two_sided: rng.bool(), radius2: r * r, limit }
 }
 
 /// Puts `k` where the verdict hangs on one unit: on the rim, at an end, in the segment's plane.
 fn adversarial(rng: &mut Rng) -> (Disc, Disc, Disc) {
     let size = 1 << rng.u32(3..22);
-    let (mut a, mut b, mut k) = (
-        random_disc(rng, size),
-        random_disc(rng, size),
-        random_disc(rng, size),
-    );
+    let (mut a, mut b, mut k) =
+        (random_disc(rng, size), random_disc(rng, size), random_disc(rng, size));
     let axis = rng.usize(0..3);
     match rng.u32(0..6) {
         // A segment along an axis through a disc across it, at the rim to the step.
@@ -137,9 +128,7 @@ fn adversarial(rng: &mut Rng) -> (Disc, Disc, Disc) {
         }
         // The crossing lies at the edge of an end's own disc, or of the limit box.
         4 => {
-            let d2: i64 = (0..3)
-                .map(|i| i64::from(b.centroid[i] - a.centroid[i]).pow(2))
-                .sum();
+            let d2: i64 = (0..3).map(|i| i64::from(b.centroid[i] - a.centroid[i]).pow(2)).sum();
             k.centroid = [0, 1, 2].map(|i| (a.centroid[i] + b.centroid[i]).div_euclid(2));
             a.radius2 = (d2 / 4 + rng.i64(-2..=2)).max(0) as u64;
             k.limit = Box3::at(k.centroid).grown(rng.i32(0..=1));
@@ -159,16 +148,8 @@ fn adversarial(rng: &mut Rng) -> (Disc, Disc, Disc) {
 fn check(a: &Disc, b: &Disc, k: &Disc) {
     for profile in [Profile::Paper, Profile::Patch] {
         let got = blocks(profile, a, b, k);
-        assert_eq!(
-            got,
-            blocks_by_fractions(profile, a, b, k),
-            "{profile:?} {a:?} {b:?} {k:?}"
-        );
-        assert_eq!(
-            got,
-            blocks(profile, b, a, k),
-            "asymmetric {profile:?} {a:?} {b:?} {k:?}"
-        );
+        assert_eq!(got, blocks_by_fractions(profile, a, b, k), "{profile:?} {a:?} {b:?} {k:?}");
+        assert_eq!(got, blocks(profile, b, a, k), "asymmetric {profile:?} {a:?} {b:?} {k:?}");
     }
     assert_eq!(faces_both(a, b), faces_by_fractions(a, b), "{a:?} {b:?}");
     assert_eq!(faces_both(a, b), faces_both(b, a), "{a:?} {b:?}");
@@ -176,11 +157,7 @@ fn check(a: &Disc, b: &Disc, k: &Disc) {
 
 /// The figure is 10^6 random and 10^5 adversarial cases; a plain run does a tenth.
 fn cases(full: usize) -> usize {
-    if std::env::var_os("PVMAP_SLOW_TESTS").is_some() {
-        full
-    } else {
-        full / 10
-    }
+    if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { full } else { full / 10 }
 }
 
 #[test]
@@ -193,10 +170,7 @@ fn v2_random_cases_agree_with_fractions() {
         check(&a, &b, &k);
         n_blocked += usize::from(blocks(Profile::Paper, &a, &b, &k));
     }
-    assert!(
-        n_blocked > cases(1_000_000) / 100,
-        "the cases hardly ever block: {n_blocked}"
-    );
+    assert!(n_blocked > cases(1_000_000) / 100, "the cases hardly ever block: {n_blocked}");
 }
 
 #[test]

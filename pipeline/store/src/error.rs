@@ -99,11 +99,7 @@ impl StoreError {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 StoreError::NoSpace { path, action }
             }
-            _ => StoreError::Io {
-                path,
-                action,
-                source,
-            },
+            _ => StoreError::Io { path, action, source },
         }
     }
 }

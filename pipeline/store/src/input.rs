@@ -36,24 +36,16 @@ impl InputFile {
         let meta = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
         if !meta.is_file() {
             // Checked before opening: opening a FIFO would wait for a writer for ever.
-            return Err(StoreError::NotAFile {
-                path: path.to_path_buf(),
-            });
+            return Err(StoreError::NotAFile { path: path.to_path_buf() });
         }
         let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
-        let meta = file
-            .metadata()
-            .map_err(|e| StoreError::io(path, "open", e))?;
+        let meta = file.metadata().map_err(|e| StoreError::io(path, "open", e))?;
         let identity = Identity {
             len_bytes: meta.len(),
             modified: meta.modified().ok(),
             inode: (meta.dev(), meta.ino()),
         };
-        Ok(InputFile {
-            file,
-            path: path.to_path_buf(),
-            identity,
-        })
+        Ok(InputFile { file, path: path.to_path_buf(), identity })
     }
 
     /// Gives the name it was opened by.

@@ -23,9 +23,7 @@ impl Mapped {
     pub fn open(path: &Path) -> Result<Mapped, StoreError> {
         let fail = |e| StoreError::io(path, "open", e);
         if !std::fs::metadata(path).map_err(fail)?.is_file() {
-            return Err(StoreError::NotAFile {
-                path: path.to_path_buf(),
-            });
+            return Err(StoreError::NotAFile { path: path.to_path_buf() });
         }
         let file = File::open(path).map_err(fail)?;
         // SAFETY: the artifact is complete and under its final name; pvmap replaces artifacts by

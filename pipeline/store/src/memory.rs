@@ -29,11 +29,9 @@ pub fn free_disk_bytes(path: &Path) -> Option<u64> {
 /// Where it is known that the disk has less left than is needed.
 pub fn require_disk(path: &Path, need_bytes: u64) -> Result<(), StoreError> {
     match free_disk_bytes(path) {
-        Some(have_bytes) if have_bytes < need_bytes => Err(StoreError::TooLittleDisk {
-            path: path.to_path_buf(),
-            need_bytes,
-            have_bytes,
-        }),
+        Some(have_bytes) if have_bytes < need_bytes => {
+            Err(StoreError::TooLittleDisk { path: path.to_path_buf(), need_bytes, have_bytes })
+        }
         _ => Ok(()),
     }
 }
@@ -44,11 +42,7 @@ pub fn require_disk(path: &Path, need_bytes: u64) -> Result<(), StoreError> {
 /// Where it needs more than there is.
 pub fn require(what: &'static str, need_bytes: u64, have_bytes: u64) -> Result<(), StoreError> {
     if need_bytes > have_bytes {
-        return Err(StoreError::Budget {
-            what,
-            need_bytes,
-            have_bytes,
-        });
+        return Err(StoreError::Budget { what, need_bytes, have_bytes });
     }
     Ok(())
 }

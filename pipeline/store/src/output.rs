@@ -26,10 +26,7 @@ impl AtomicFile {
     pub fn create(path: &Path) -> Result<AtomicFile, StoreError> {
         if path.is_dir() || path.file_name().is_none() {
             let reason = "it is a folder".to_owned();
-            return Err(StoreError::CannotCreate {
-                path: path.to_path_buf(),
-                reason,
-            });
+            return Err(StoreError::CannotCreate { path: path.to_path_buf(), reason });
         }
         let named =
             NamedTempFile::with_prefix_in(".pvmap-", folder_of(path)).map_err(|e| {
@@ -44,11 +41,7 @@ impl AtomicFile {
                 }
             })?;
         let (file, temp) = named.into_parts();
-        Ok(AtomicFile {
-            file,
-            temp,
-            path: path.to_path_buf(),
-        })
+        Ok(AtomicFile { file, temp, path: path.to_path_buf() })
     }
 
     /// Gives the final name.
@@ -71,6 +64,16 @@ impl AtomicFile {
             .map_err(|e| StoreError::io(&self.path, "write", e))
     }
 
+    /// Reads back what was written at `offset_bytes`.
+    ///
+    /// # Errors
+    /// Where the disk fails or so much was not written.
+    pub fn read_at(&self, buf: &mut [u8], offset_bytes: u64) -> Result<(), StoreError> {
+        self.file
+            .read_exact_at(buf, offset_bytes)
+            .map_err(|e| StoreError::io(&self.path, "read back", e))
+    }
+
     /// Makes the file durable and gives it its final name, replacing what was there.
     ///
     /// # Errors
@@ -80,9 +83,7 @@ impl AtomicFile {
         // mkstemp makes files for the owner alone; an artifact is as readable as the umask says.
         set_default_mode(&self.file).map_err(fail)?;
         self.file.sync_all().map_err(fail)?;
-        self.temp
-            .persist(&self.path)
-            .map_err(|e| StoreError::io(&self.path, "rename", e.error))?;
+        self.temp.persist(&self.path).map_err(|e| StoreError::io(&self.path, "rename", e.error))?;
         sync_folder(folder_of(&self.path))
     }
 }
@@ -120,10 +121,7 @@ impl AtomicFolder {
     /// a folder, or the parent does not exist or may not be written.
     pub fn create(path: &Path, overwrite: bool) -> Result<AtomicFolder, StoreError> {
         let refuse = |reason: &str| {
-            Err(StoreError::CannotCreate {
-                path: path.to_path_buf(),
-                reason: reason.to_owned(),
-            })
+            Err(StoreError::CannotCreate { path: path.to_path_buf(), reason: reason.to_owned() })
         };
         match std::fs::symlink_metadata(path) {
             Ok(meta) if !meta.is_dir() => return refuse("something else has that name"),
@@ -132,11 +130,7 @@ impl AtomicFolder {
         }
         let temp = TempDir::with_prefix_in(".pvmap-", folder_of(path))
             .map_err(|e| cannot_create(path, e))?;
-        Ok(AtomicFolder {
-            temp,
-            path: path.to_path_buf(),
-            overwrite,
-        })
+        Ok(AtomicFolder { temp, path: path.to_path_buf(), overwrite })
     }
 
     /// Gives the folder to write into.
@@ -156,11 +150,7 @@ impl AtomicFolder {
         set_default_folder_mode(temp).map_err(|e| StoreError::io(path, "commit", e))?;
         sync_folder(temp)?;
         let exists = path.exists();
-        let flags = if exists {
-            RenameFlags::EXCHANGE
-        } else {
-            RenameFlags::NOREPLACE
-        };
+        let flags = if exists { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
         if exists && !self.overwrite {
             return Err(fail(rustix::io::Errno::EXIST));
         }
@@ -168,10 +158,7 @@ impl AtomicFolder {
         sync_folder(folder_of(path))?;
         if exists {
             // Now the old folder has the temporary name and goes with it.
-            return self
-                .temp
-                .close()
-                .map_err(|e| StoreError::io(path, "remove the old", e));
+            return self.temp.close().map_err(|e| StoreError::io(path, "remove the old", e));
         }
         // The temporary name is gone; there is nothing left to clean up.
         let _ = self.temp.keep();
@@ -205,10 +192,7 @@ fn cannot_create(path: &Path, e: io::Error) -> StoreError {
         }
         kind => {
             let reason = format!("its folder cannot be written: {kind}");
-            StoreError::CannotCreate {
-                path: path.to_path_buf(),
-                reason,
-            }
+            StoreError::CannotCreate { path: path.to_path_buf(), reason }
         }
     }
 }
@@ -227,6 +211,5 @@ fn set_default_folder_mode(folder: &Path) -> io::Result<()> {
 fn umask() -> u32 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("Umask:"));
-    line.and_then(|l| u32::from_str_radix(l.trim(), 8).ok())
-        .unwrap_or(0o022)
+    line.and_then(|l| u32::from_str_radix(l.trim(), 8).ok()).unwrap_or(0o022)
 }

@@ -36,12 +36,7 @@ struct Run {
 impl Runs {
     /// Makes an empty set; its file is made in `folder` when it is needed.
     pub fn new(folder: &Path) -> Runs {
-        Runs {
-            folder: folder.to_path_buf(),
-            file: None,
-            runs: Vec::new(),
-            end_bytes: 0,
-        }
+        Runs { folder: folder.to_path_buf(), file: None, runs: Vec::new(), end_bytes: 0 }
     }
 
     /// Gives the bytes on disk.
@@ -84,10 +79,7 @@ impl Runs {
             return rest.iter().try_for_each(|&pair| each(pair));
         }
         let mut cursors = self.cursors(&self.runs)?;
-        let source = self
-            .file
-            .as_ref()
-            .expect("a run was written, so there is a file");
+        let source = self.file.as_ref().expect("a run was written, so there is a file");
         merge_cursors(source, &self.folder, &mut cursors, rest, each)
     }
 
@@ -110,12 +102,7 @@ impl Runs {
     fn writer(&mut self) -> Result<RunWriter<'_>, StoreError> {
         self.file()?;
         let start = self.end_bytes;
-        Ok(RunWriter {
-            runs: self,
-            start,
-            buffer: Vec::with_capacity(READ_BYTES),
-            before: (0, 0),
-        })
+        Ok(RunWriter { runs: self, start, buffer: Vec::with_capacity(READ_BYTES), before: (0, 0) })
     }
 }
 
@@ -131,30 +118,14 @@ impl RunWriter<'_> {
         let step = pair.0 - self.before.0;
         put_varint(&mut self.buffer, step);
         // Within a list the partners rise too; the first of a list stands as it is.
-        put_varint(
-            &mut self.buffer,
-            if step == 0 {
-                pair.1 - self.before.1
-            } else {
-                pair.1
-            },
-        );
+        put_varint(&mut self.buffer, if step == 0 { pair.1 - self.before.1 } else { pair.1 });
         self.before = pair;
-        if self.buffer.len() > READ_BYTES - MAX_PAIR_BYTES {
-            self.flush()
-        } else {
-            Ok(())
-        }
+        if self.buffer.len() > READ_BYTES - MAX_PAIR_BYTES { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<(), StoreError> {
-        let file = self
-            .runs
-            .file
-            .as_ref()
-            .expect("the writer was made with a file");
-        file.write_all_at(&self.buffer, self.runs.end_bytes)
-            .map_err(|e| self.runs.fail(e))?;
+        let file = self.runs.file.as_ref().expect("the writer was made with a file");
+        file.write_all_at(&self.buffer, self.runs.end_bytes).map_err(|e| self.runs.fail(e))?;
         self.runs.end_bytes += self.buffer.len() as u64;
         self.buffer.clear();
         Ok(())
@@ -164,10 +135,7 @@ impl RunWriter<'_> {
         self.flush()?;
         let len_bytes = self.runs.end_bytes - self.start;
         if len_bytes > 0 {
-            self.runs.runs.push(Run {
-                offset_bytes: self.start,
-                len_bytes,
-            });
+            self.runs.runs.push(Run { offset_bytes: self.start, len_bytes });
         }
         Ok(())
     }
@@ -183,12 +151,7 @@ struct Cursor {
 
 impl Cursor {
     fn new(run: Run) -> Cursor {
-        Cursor {
-            run,
-            buffer: Vec::new(),
-            at: 0,
-            before: (0, 0),
-        }
+        Cursor { run, buffer: Vec::new(), at: 0, before: (0, 0) }
     }
 
     fn next(&mut self, file: &File, folder: &Path) -> Result<Option<Pair>, StoreError> {
@@ -209,11 +172,7 @@ impl Cursor {
         let step = take_varint(&self.buffer, &mut self.at);
         let second = take_varint(&self.buffer, &mut self.at);
         let (a, b) = self.before;
-        self.before = if step == 0 {
-            (a, b + second)
-        } else {
-            (a + step, second)
-        };
+        self.before = if step == 0 { (a, b + second) } else { (a + step, second) };
         Ok(Some(self.before))
     }
 }
@@ -235,11 +194,7 @@ fn merge_cursors<E: From<StoreError>>(
     while let Some(mut top) = heap.peek_mut() {
         let Reverse((pair, i)) = *top;
         each(pair)?;
-        let next = if i == usize::MAX {
-            rest.next()
-        } else {
-            cursors[i].next(file, folder)?
-        };
+        let next = if i == usize::MAX { rest.next() } else { cursors[i].next(file, folder)? };
         match next {
             // Replacing the top in place costs one sift instead of a pop and a push.
             Some(next) => *top = Reverse((next, i)),

@@ -39,10 +39,7 @@ impl SectionFile {
     /// # Errors
     /// Those of [`AtomicFile::create`].
     pub fn create(path: &Path, head_bytes: u64) -> Result<SectionFile, StoreError> {
-        Ok(SectionFile {
-            file: AtomicFile::create(path)?,
-            end_bytes: head_bytes,
-        })
+        Ok(SectionFile { file: AtomicFile::create(path)?, end_bytes: head_bytes })
     }
 
     /// Writes a section that is at hand.
@@ -53,28 +50,38 @@ impl SectionFile {
         let offset_bytes = self.take(bytes.len() as u64);
         self.file.write_at(bytes, offset_bytes)?;
         let sums = bytes.chunks(BLOCK_BYTES).map(crc32fast::hash).collect();
-        Ok(Section {
-            offset_bytes,
-            len_bytes: bytes.len() as u64,
-            sums,
-        })
+        Ok(Section { offset_bytes, len_bytes: bytes.len() as u64, sums })
     }
 
-    /// Starts a section whose length is known and whose parts come in any order, from any thread.
-    pub fn scattered(&mut self, len_bytes: u64) -> Scattered<'_> {
+    /// Takes room for a section whose length is known and whose parts come in any order.
+    pub fn scattered(&mut self, len_bytes: u64) -> Scattered {
         let offset_bytes = self.take(len_bytes);
         let n_blocks = len_bytes.div_ceil(BLOCK_BYTES as u64) as usize;
-        let sums = Sums {
-            whole: vec![0; n_blocks],
-            pieces: Vec::new(),
-            n_written: 0,
-        };
-        Scattered {
-            file: &self.file,
-            offset_bytes,
-            len_bytes,
-            sums: Mutex::new(sums),
-        }
+        let sums = Sums { whole: vec![0; n_blocks], pieces: Vec::new(), n_written: 0 };
+        Scattered { offset_bytes, len_bytes, sums: Mutex::new(sums) }
+    }
+
+    /// Writes a part of a scattered section at its place in the section, from any thread. Parts do
+    /// not overlap.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn scatter(&self, to: &Scattered, bytes: &[u8], at_bytes: u64) -> Result<(), StoreError> {
+        assert!(at_bytes + bytes.len() as u64 <= to.len_bytes, "a part leaves its section");
+        self.file.write_at(bytes, to.offset_bytes + at_bytes)?;
+        to.note(bytes, at_bytes);
+        Ok(())
+    }
+
+    /// Writes a section again, in its room and of the same length.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn rewrite(&mut self, section: &Section, bytes: &[u8]) -> Result<Section, StoreError> {
+        assert_eq!(section.len_bytes, bytes.len() as u64, "a section keeps its length");
+        self.file.write_at(bytes, section.offset_bytes)?;
+        let sums = bytes.chunks(BLOCK_BYTES).map(crc32fast::hash).collect();
+        Ok(Section { sums, ..section.clone() })
     }
 
     /// Starts a section that is written from front to back.
@@ -87,6 +94,14 @@ impl SectionFile {
             block: Vec::with_capacity(BLOCK_BYTES),
             sums: Vec::new(),
         }
+    }
+
+    /// Reads back bytes of a section that is finished while the file is not.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn read_at(&self, buf: &mut [u8], offset_bytes: u64) -> Result<(), StoreError> {
+        self.file.read_at(buf, offset_bytes)
     }
 
     /// Writes the head and the last bytes of the file, and gives it its name.
@@ -147,17 +162,11 @@ impl SectionWriter<'_> {
             self.flush_block()?;
         }
         self.file.end_bytes = self.offset_bytes + self.len_bytes;
-        Ok(Section {
-            offset_bytes: self.offset_bytes,
-            len_bytes: self.len_bytes,
-            sums: self.sums,
-        })
+        Ok(Section { offset_bytes: self.offset_bytes, len_bytes: self.len_bytes, sums: self.sums })
     }
 
     fn flush_block(&mut self) -> Result<(), StoreError> {
-        self.file
-            .file
-            .write_at(&self.block, self.offset_bytes + self.len_bytes)?;
+        self.file.file.write_at(&self.block, self.offset_bytes + self.len_bytes)?;
         self.sums.push(crc32fast::hash(&self.block));
         self.len_bytes += self.block.len() as u64;
         self.block.clear();
@@ -178,8 +187,7 @@ impl Write for SectionWriter<'_> {
 
 /// A section whose parts come in any order.
 #[derive(Debug)]
-pub struct Scattered<'a> {
-    file: &'a AtomicFile,
+pub struct Scattered {
     offset_bytes: u64,
     len_bytes: u64,
     sums: Mutex<Sums>,
@@ -194,17 +202,9 @@ struct Sums {
     n_written: u64,
 }
 
-impl Scattered<'_> {
-    /// Writes a part at its place in the section. Parts do not overlap.
-    ///
-    /// # Errors
-    /// Where the disk fails.
-    pub fn write_at(&self, bytes: &[u8], at_bytes: u64) -> Result<(), StoreError> {
-        assert!(
-            at_bytes + bytes.len() as u64 <= self.len_bytes,
-            "a part leaves its section"
-        );
-        self.file.write_at(bytes, self.offset_bytes + at_bytes)?;
+impl Scattered {
+    /// Notes the checksums of a part that was written.
+    fn note(&self, bytes: &[u8], at_bytes: u64) {
         let mut found = Vec::new();
         let mut rest = bytes;
         let mut at = at_bytes;
@@ -224,20 +224,13 @@ impl Scattered<'_> {
             }
         }
         sums.n_written += bytes.len() as u64;
-        Ok(())
     }
 
     /// Ends the section: joins the checksums of blocks that came in pieces.
     pub fn finish(self) -> Section {
-        let Sums {
-            mut whole,
-            mut pieces,
-            n_written,
-        } = self.sums.into_inner().unwrap_or_else(|e| e.into_inner());
-        assert_eq!(
-            n_written, self.len_bytes,
-            "every byte of a section is written once"
-        );
+        let Sums { mut whole, mut pieces, n_written } =
+            self.sums.into_inner().unwrap_or_else(|e| e.into_inner());
+        assert_eq!(n_written, self.len_bytes, "every byte of a section is written once");
         pieces.sort_unstable();
         for block in pieces.chunk_by(|a, b| a.0 / BLOCK_BYTES as u64 == b.0 / BLOCK_BYTES as u64) {
             let mut joined = Hasher::new();
@@ -246,11 +239,7 @@ impl Scattered<'_> {
             }
             whole[(block[0].0 / BLOCK_BYTES as u64) as usize] = joined.finalize();
         }
-        Section {
-            offset_bytes: self.offset_bytes,
-            len_bytes: self.len_bytes,
-            sums: whole,
-        }
+        Section { offset_bytes: self.offset_bytes, len_bytes: self.len_bytes, sums: whole }
     }
 }
 
@@ -261,33 +250,20 @@ mod tests {
     #[test]
     fn parts_in_any_order_have_the_sums_of_the_whole() {
         let folder = tempfile::tempdir().unwrap();
-        let bytes: Vec<u8> = (0..300_000u32)
-            .map(|i| (i.wrapping_mul(i) >> 7) as u8)
-            .collect();
+        let bytes: Vec<u8> = (0..300_000u32).map(|i| (i.wrapping_mul(i) >> 7) as u8).collect();
         let mut file = SectionFile::create(&folder.path().join("f"), 100).unwrap();
         let whole = file.whole(&bytes).unwrap();
         assert_eq!(whole.offset_bytes, 128);
         let scattered = file.scattered(bytes.len() as u64);
-        for part in bytes
-            .chunks(7777)
-            .enumerate()
-            .collect::<Vec<_>>()
-            .into_iter()
-            .rev()
-        {
-            scattered.write_at(part.1, part.0 as u64 * 7777).unwrap();
+        for part in bytes.chunks(7777).enumerate().collect::<Vec<_>>().into_iter().rev() {
+            file.scatter(&scattered, part.1, part.0 as u64 * 7777).unwrap();
         }
         assert_eq!(scattered.finish().sums, whole.sums);
         let mut stream = file.stream();
         bytes.chunks(1234).for_each(|c| stream.append(c).unwrap());
         let streamed = stream.finish().unwrap();
         assert_eq!(streamed.sums, whole.sums);
-        file.finish(
-            &[1; 100],
-            &[2; 3],
-            streamed.offset_bytes + streamed.len_bytes,
-        )
-        .unwrap();
+        file.finish(&[1; 100], &[2; 3], streamed.offset_bytes + streamed.len_bytes).unwrap();
         let read = std::fs::read(folder.path().join("f")).unwrap();
         let at = streamed.offset_bytes as usize;
         assert_eq!(read[at..at + bytes.len()], bytes[..]);

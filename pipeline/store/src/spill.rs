@@ -77,10 +77,7 @@ impl Spill {
             self.file()?
                 .write_all_at(bytes, offset_bytes)
                 .map_err(|e| StoreError::io(&self.folder, "write a temporary file in", e))?;
-            Extent::OnDisk {
-                offset_bytes,
-                len_bytes: bytes.len(),
-            }
+            Extent::OnDisk { offset_bytes, len_bytes: bytes.len() }
         };
         let mut bucket = self.lock(bucket);
         bucket.extents.push(extent);
@@ -111,26 +108,43 @@ impl Spill {
         let taken = std::mem::take(&mut *self.lock(bucket));
         let mut buffer = Vec::new();
         for extent in taken.extents {
-            match extent {
-                Extent::Held(bytes) => {
-                    self.held_bytes
-                        .fetch_sub(bytes.len() as u64, Ordering::Relaxed);
-                    each(&bytes)?;
-                }
-                Extent::OnDisk {
-                    offset_bytes,
-                    len_bytes,
-                } => {
-                    buffer.resize(len_bytes, 0);
-                    let fail = |e| StoreError::io(&self.folder, "read a temporary file in", e);
-                    self.file()?
-                        .read_exact_at(&mut buffer, offset_bytes)
-                        .map_err(fail)?;
-                    each(&buffer)?;
-                }
+            each(self.bytes_of(&extent, &mut buffer)?)?;
+            if let Extent::Held(bytes) = extent {
+                self.held_bytes.fetch_sub(bytes.len() as u64, Ordering::Relaxed);
             }
         }
         Ok(())
+    }
+
+    /// Shows a bucket's extents one by one and keeps them.
+    ///
+    /// # Errors
+    /// Where the disk or `each` fails.
+    pub fn peek<E: From<StoreError>>(
+        &self,
+        bucket: usize,
+        mut each: impl FnMut(&[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let bucket = self.lock(bucket);
+        let mut buffer = Vec::new();
+        bucket.extents.iter().try_for_each(|extent| each(self.bytes_of(extent, &mut buffer)?))
+    }
+
+    fn bytes_of<'a>(
+        &self,
+        extent: &'a Extent,
+        buffer: &'a mut Vec<u8>,
+    ) -> Result<&'a [u8], StoreError> {
+        match extent {
+            Extent::Held(bytes) => Ok(bytes),
+            Extent::OnDisk { offset_bytes, len_bytes } => {
+                buffer.resize(*len_bytes, 0);
+                self.file()?
+                    .read_exact_at(buffer, *offset_bytes)
+                    .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))?;
+                Ok(buffer)
+            }
+        }
     }
 
     fn file(&self) -> Result<&File, StoreError> {
@@ -143,9 +157,7 @@ impl Spill {
     }
 
     fn lock(&self, bucket: usize) -> std::sync::MutexGuard<'_, Bucket> {
-        self.buckets[bucket]
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        self.buckets[bucket].lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -165,10 +177,7 @@ mod tests {
             assert_eq!(spill.bucket_bytes(0), 34 * 50);
             let mut out = Vec::new();
             spill.take(1, &mut out).unwrap();
-            let expected: Vec<u8> = (0..100)
-                .filter(|i| i % 3 == 1)
-                .flat_map(|i| [i; 50])
-                .collect();
+            let expected: Vec<u8> = (0..100).filter(|i| i % 3 == 1).flat_map(|i| [i; 50]).collect();
             assert_eq!(out, expected);
             assert_eq!(spill.bucket_bytes(1), 0);
         }

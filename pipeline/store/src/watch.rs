@@ -21,11 +21,7 @@ pub trait Watch: Sync {
     /// # Errors
     /// [`StoreError::Interrupted`] when the run was asked to stop.
     fn check(&self) -> Result<(), StoreError> {
-        if self.is_stopped() {
-            Err(StoreError::Interrupted)
-        } else {
-            Ok(())
-        }
+        if self.is_stopped() { Err(StoreError::Interrupted) } else { Ok(()) }
     }
 }
 

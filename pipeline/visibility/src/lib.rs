@@ -1,1 +1,22 @@
-//! placeholder
+//! Who sees whom: from a tree of surfels to the links of its visibility map.
+//!
+//! [`build`] is the stage as a whole: it plans chunk tasks ([`tasks`]), decides each by the
+//! recursion over node pairs ([`pairs`]: the paper's Algorithms 1 and 2 as corrected in [V-4] and
+//! [V-5]), spills the links as sorted runs and writes the map. What makes it fast are proofs about
+//! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders
+//! ([`candidates`]); what is left is decided leaf pair by leaf pair ([`kernel`]), exactly. The room
+//! never asks how the tree came about and never approximates.
+//!
+//! Start reading at [`build::build`], then [`pairs`].
+
+pub mod bounds;
+pub mod build;
+pub mod candidates;
+pub mod error;
+pub mod interaction;
+pub mod kernel;
+pub mod pairs;
+pub mod tasks;
+
+pub use build::{BuildOptions, BuildReport, MapInput, build};
+pub use error::VisibilityError;

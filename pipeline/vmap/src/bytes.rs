@@ -71,9 +71,7 @@ impl<'a> FieldReader<'a> {
     /// Reads bytes as they are.
     #[inline(always)]
     pub fn raw<const N: usize>(&mut self) -> [u8; N] {
-        let (head, _) = self.bytes[self.at..]
-            .split_first_chunk()
-            .expect("record size is fixed");
+        let (head, _) = self.bytes[self.at..].split_first_chunk().expect("record size is fixed");
         self.at += N;
         *head
     }

@@ -83,14 +83,10 @@ pub fn head_bytes(n_sections: usize) -> u64 {
 
 /// Makes what closes a file: header, table and `sums`, from its sections in file order.
 pub fn close(kind: Kind, sections: &[Written]) -> Closing {
-    let sums: Vec<u8> = sections
-        .iter()
-        .flat_map(|s| &s.sums)
-        .flat_map(|c| c.to_le_bytes())
-        .collect();
-    let sums_offset_bytes = sections
-        .last()
-        .map_or(head_bytes(0), |s| align(s.offset_bytes + s.len_bytes));
+    let sums: Vec<u8> =
+        sections.iter().flat_map(|s| &s.sums).flat_map(|c| c.to_le_bytes()).collect();
+    let sums_offset_bytes =
+        sections.last().map_or(head_bytes(0), |s| align(s.offset_bytes + s.len_bytes));
     let mut head = vec![0; head_bytes(sections.len()) as usize];
     let (header, table) = head.split_at_mut(HEADER_BYTES as usize);
     let mut first_block = 0;
@@ -101,34 +97,16 @@ pub fn close(kind: Kind, sections: &[Written]) -> Closing {
             let mut w = FieldWriter::new(&mut table[at + 8..at + 48]);
             w.u64(offset);
             w.u64(len);
-            w.u64(if record_bytes == 0 {
-                0
-            } else {
-                len / u64::from(record_bytes)
-            });
+            w.u64(if record_bytes == 0 { 0 } else { len / u64::from(record_bytes) });
             w.u32(record_bytes);
             w.u32(0);
             w.u64(first_block);
             first_block += n_blocks;
         };
     for (i, s) in sections.iter().enumerate() {
-        row(
-            i,
-            s.name,
-            s.offset_bytes,
-            s.len_bytes,
-            s.record_bytes,
-            s.sums.len() as u64,
-        );
+        row(i, s.name, s.offset_bytes, s.len_bytes, s.record_bytes, s.sums.len() as u64);
     }
-    row(
-        sections.len(),
-        SUMS,
-        sums_offset_bytes,
-        sums.len() as u64,
-        4,
-        0,
-    );
+    row(sections.len(), SUMS, sums_offset_bytes, sums.len() as u64, 4, 0);
     let mut w = FieldWriter::new(header);
     w.raw(&MAGIC);
     w.raw(&kind.tag());
@@ -144,11 +122,7 @@ pub fn close(kind: Kind, sections: &[Written]) -> Closing {
     w.u32(crc32fast::hash(&sums));
     let crc = crc32fast::hash(&header[..60]);
     FieldWriter::new(&mut header[60..]).u32(crc);
-    Closing {
-        head,
-        sums,
-        sums_offset_bytes,
-    }
+    Closing { head, sums, sums_offset_bytes }
 }
 
 fn root_of(header_start: &[u8], table: &[u8], sums: &[u8]) -> u128 {
@@ -177,11 +151,7 @@ pub struct Section {
 
 impl Section {
     fn n_blocks(&self) -> u64 {
-        if self.name == SUMS {
-            0
-        } else {
-            self.len_bytes.div_ceil(BLOCK_BYTES)
-        }
+        if self.name == SUMS { 0 } else { self.len_bytes.div_ceil(BLOCK_BYTES) }
     }
 
     /// Names a broken rule at a place in this section.
@@ -218,16 +188,10 @@ impl<'a> Container<'a> {
         let table_end = HEADER_BYTES as usize * (header.n_sections as usize + 1);
         let table = bytes
             .get(HEADER_BYTES as usize..table_end)
-            .ok_or(FormatError::Length {
-                expected: table_end as u64,
-                found: bytes.len() as u64,
-            })?;
+            .ok_or(FormatError::Length { expected: table_end as u64, found: bytes.len() as u64 })?;
         if crc32fast::hash(table) != header.table_crc {
             let section = "section table".to_owned();
-            return Err(FormatError::Checksum {
-                section,
-                offset_bytes: HEADER_BYTES,
-            });
+            return Err(FormatError::Checksum { section, offset_bytes: HEADER_BYTES });
         }
         let sections = read_table(table, bytes.len() as u64)?;
         let n_blocks: u64 = sections.iter().map(Section::n_blocks).sum();
@@ -287,9 +251,7 @@ impl<'a> Container<'a> {
         at_bytes: u64,
         len_bytes: u64,
     ) -> Result<&'a [u8], FormatError> {
-        let end = at_bytes
-            .checked_add(len_bytes)
-            .filter(|&end| end <= section.len_bytes);
+        let end = at_bytes.checked_add(len_bytes).filter(|&end| end <= section.len_bytes);
         let Some(end) = end else {
             return Err(section.broken(at_bytes, "points past the end of the section"));
         };
@@ -331,10 +293,7 @@ impl<'a> Container<'a> {
         let end = (start + BLOCK_BYTES).min(section.offset_bytes + section.len_bytes);
         if crc32fast::hash(&self.bytes[start as usize..end as usize]) != expected {
             let section = section.name.clone();
-            return Err(FormatError::Checksum {
-                section,
-                offset_bytes: start,
-            });
+            return Err(FormatError::Checksum { section, offset_bytes: start });
         }
         Ok(())
     }
@@ -347,10 +306,7 @@ impl<'a> Container<'a> {
         if self.sums_checked.load(Ordering::Acquire) == 0 {
             if crc32fast::hash(sums) != self.sums_crc {
                 let offset_bytes = section.offset_bytes;
-                return Err(FormatError::Checksum {
-                    section: SUMS.to_owned(),
-                    offset_bytes,
-                });
+                return Err(FormatError::Checksum { section: SUMS.to_owned(), offset_bytes });
             }
             self.sums_checked.store(1, Ordering::Release);
         }
@@ -366,10 +322,7 @@ impl<'a> Container<'a> {
         let table_end = HEADER_BYTES as usize * (self.sections.len() + 1);
         let table = &self.bytes[HEADER_BYTES as usize..table_end];
         if root_of(&self.bytes[..32], table, sums) != self.root {
-            return Err(FormatError::Checksum {
-                section: "header".to_owned(),
-                offset_bytes: 32,
-            });
+            return Err(FormatError::Checksum { section: "header".to_owned(), offset_bytes: 32 });
         }
         let mut end = table_end;
         for section in &self.sections {
@@ -377,11 +330,7 @@ impl<'a> Container<'a> {
             if self.bytes[end..start].iter().any(|&b| b != 0) {
                 let section = format!("padding before {}", section.name);
                 let what = "not zero".to_owned();
-                return Err(FormatError::Broken {
-                    section,
-                    offset_bytes: end as u64,
-                    what,
-                });
+                return Err(FormatError::Broken { section, offset_bytes: end as u64, what });
             }
             for block in 0..section.n_blocks() {
                 self.check_block(section, block)?;
@@ -395,9 +344,7 @@ impl<'a> Container<'a> {
 /// Says which artifact the first bytes of a file belong to, if any.
 pub fn kind_of(bytes: &[u8]) -> Option<Kind> {
     let tag = bytes.strip_prefix(&MAGIC)?.get(..4)?;
-    [Kind::Map, Kind::Octree]
-        .into_iter()
-        .find(|k| k.tag() == tag)
+    [Kind::Map, Kind::Octree].into_iter().find(|k| k.tag() == tag)
 }
 
 struct Header {
@@ -409,63 +356,36 @@ struct Header {
 }
 
 fn read_header(bytes: &[u8], kind: Kind) -> Result<Header, FormatError> {
-    let Some(header) = bytes
-        .get(..HEADER_BYTES as usize)
-        .filter(|h| h.starts_with(&MAGIC))
-    else {
-        return Err(FormatError::NotOurs {
-            found: describe(bytes),
-        });
+    let Some(header) = bytes.get(..HEADER_BYTES as usize).filter(|h| h.starts_with(&MAGIC)) else {
+        return Err(FormatError::NotOurs { found: describe(bytes) });
     };
-    let damaged = |offset_bytes| FormatError::Checksum {
-        section: "header".to_owned(),
-        offset_bytes,
-    };
+    let damaged =
+        |offset_bytes| FormatError::Checksum { section: "header".to_owned(), offset_bytes };
     if crc32fast::hash(&header[..60]) != FieldReader::new(&header[60..]).u32() {
         return Err(damaged(0));
     }
     let found = kind_of(bytes).ok_or(damaged(8))?;
     if found != kind {
-        return Err(FormatError::WrongKind {
-            found: found.name(),
-            wanted: kind.name(),
-        });
+        return Err(FormatError::WrongKind { found: found.name(), wanted: kind.name() });
     }
     let mut r = FieldReader::new(&header[12..]);
     let (major, minor) = (r.u16(), r.u16());
     let (file_bytes, n_sections, table_crc) = (r.u64(), r.u32(), r.u32());
     let (root, required, sums_crc) = (r.u128(), r.u64(), r.u32());
     if major != MAJOR || minor > MINOR {
-        return Err(FormatError::Version {
-            major,
-            minor,
-            ours: OURS,
-        });
+        return Err(FormatError::Version { major, minor, ours: OURS });
     }
     if required != 0 {
         return Err(FormatError::Required { flags: required });
     }
     if file_bytes != bytes.len() as u64 {
-        return Err(FormatError::Length {
-            expected: file_bytes,
-            found: bytes.len() as u64,
-        });
+        return Err(FormatError::Length { expected: file_bytes, found: bytes.len() as u64 });
     }
     if !(1..=MAX_SECTIONS).contains(&n_sections) {
         let what = format!("{n_sections} sections, 1 to {MAX_SECTIONS} are possible");
-        return Err(FormatError::Broken {
-            section: "header".to_owned(),
-            offset_bytes: 24,
-            what,
-        });
+        return Err(FormatError::Broken { section: "header".to_owned(), offset_bytes: 24, what });
     }
-    Ok(Header {
-        minor,
-        n_sections,
-        table_crc,
-        root,
-        sums_crc,
-    })
+    Ok(Header { minor, n_sections, table_crc, root, sums_crc })
 }
 
 /// Reads the section table and checks that the sections tile the file.
@@ -500,14 +420,8 @@ fn read_table(table: &[u8], file_bytes: u64) -> Result<Vec<Section>, FormatError
             )));
         }
         end = offset_bytes + len_bytes;
-        let section = Section {
-            name,
-            offset_bytes,
-            len_bytes,
-            n_records,
-            record_bytes,
-            first_block,
-        };
+        let section =
+            Section { name, offset_bytes, len_bytes, n_records, record_bytes, first_block };
         if section.name != SUMS && first_block != n_blocks {
             return Err(broken(format!("first block {first_block}, not {n_blocks}")));
         }
@@ -518,11 +432,7 @@ fn read_table(table: &[u8], file_bytes: u64) -> Result<Vec<Section>, FormatError
     if !sections.last().is_some_and(fits) {
         let what = "the last section is not the checksums of all others".to_owned();
         let section = "section table".to_owned();
-        return Err(FormatError::Broken {
-            section,
-            offset_bytes: HEADER_BYTES,
-            what,
-        });
+        return Err(FormatError::Broken { section, offset_bytes: HEADER_BYTES, what });
     }
     Ok(sections)
 }

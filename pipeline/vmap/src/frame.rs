@@ -32,12 +32,7 @@ impl Record for FrameRecord {
     fn write(&self, w: &mut FieldWriter<'_>) {
         let crs_kind = self.crs_kind as u32;
         match self.frame {
-            Frame::Lattice {
-                scale,
-                offset,
-                min,
-                extent,
-            } => {
+            Frame::Lattice { scale, offset, min, extent } => {
                 w.u32(0);
                 w.u32(crs_kind);
                 w.three(scale, FieldWriter::f64);
@@ -67,16 +62,8 @@ impl Record for FrameRecord {
         let scale = [0; 3].map(|_| r.f64());
         let offset = [0; 3].map(|_| r.f64());
         let frame = match kind {
-            0 => Frame::Lattice {
-                scale,
-                offset,
-                min: [0; 3].map(|_| r.i64()),
-                extent: r.f64(),
-            },
-            1 => Frame::World {
-                min: [0; 3].map(|_| r.f64()),
-                extent: r.f64(),
-            },
+            0 => Frame::Lattice { scale, offset, min: [0; 3].map(|_| r.i64()), extent: r.f64() },
+            1 => Frame::World { min: [0; 3].map(|_| r.f64()), extent: r.f64() },
             _ => return None,
         };
         let finite = scale.iter().chain(&offset).all(|v| v.is_finite());

@@ -27,9 +27,7 @@ pub struct LinkEncoder {
 
 impl std::fmt::Debug for LinkEncoder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LinkEncoder")
-            .field("offset_bytes", &self.offset_bytes)
-            .finish()
+        f.debug_struct("LinkEncoder").field("offset_bytes", &self.offset_bytes).finish()
     }
 }
 
@@ -72,10 +70,7 @@ impl LinkEncoder {
             n_links: 0,
             crc: 0,
         });
-        debug_assert!(
-            block.n_links == 0 || block.last < (a, b),
-            "links rise strictly"
-        );
+        debug_assert!(block.n_links == 0 || block.last < (a, b), "links rise strictly");
         block.last = (a, b);
         block.n_links += 1;
         let (_, partners) = self.list.get_or_insert((a, Vec::new()));
@@ -181,19 +176,15 @@ pub fn decode(block: &LinkBlock, frame: &[u8], at_bytes: u64) -> Result<LinkList
     };
     if crc32fast::hash(frame) != block.crc {
         let section = "links".to_owned();
-        return Err(FormatError::Checksum {
-            section,
-            offset_bytes: at_bytes,
-        });
+        return Err(FormatError::Checksum { section, offset_bytes: at_bytes });
     }
     let size = block.content_bytes as usize;
     if size > MAX_CONTENT_BYTES || u64::from(block.n_links) > size as u64 {
         return Err(broken("content larger than a frame may have"));
     }
     let mut decompressor = Decompressor::new().map_err(|_| broken("zstd could not start"))?;
-    let content = decompressor
-        .decompress(frame, size)
-        .map_err(|_| broken("not a whole zstd frame"))?;
+    let content =
+        decompressor.decompress(frame, size).map_err(|_| broken("not a whole zstd frame"))?;
     if content.len() != size {
         return Err(broken("content is not of the stated size"));
     }
@@ -206,10 +197,7 @@ pub fn decode(block: &LinkBlock, frame: &[u8], at_bytes: u64) -> Result<LinkList
 }
 
 fn read_lists(mut content: &[u8], n_links: usize) -> Option<LinkLists> {
-    let mut lists = LinkLists {
-        partners: Vec::with_capacity(n_links),
-        ..LinkLists::default()
-    };
+    let mut lists = LinkLists { partners: Vec::with_capacity(n_links), ..LinkLists::default() };
     let mut node = 0u32;
     while !content.is_empty() {
         let step = take_varint(&mut content)?;
@@ -225,9 +213,7 @@ fn read_lists(mut content: &[u8], n_links: usize) -> Option<LinkLists> {
         }
         let mut before = node;
         for _ in 0..n {
-            before = before
-                .checked_add(take_varint(&mut content)?)?
-                .checked_add(1)?;
+            before = before.checked_add(take_varint(&mut content)?)?.checked_add(1)?;
             lists.partners.push(before);
         }
     }
@@ -265,10 +251,7 @@ mod tests {
 
     fn encode(links: &[(u32, u32)]) -> Vec<(LinkBlock, Vec<u8>)> {
         let mut encoder = LinkEncoder::new().unwrap();
-        let mut frames: Vec<_> = links
-            .iter()
-            .filter_map(|&l| encoder.push(l).unwrap())
-            .collect();
+        let mut frames: Vec<_> = links.iter().filter_map(|&l| encoder.push(l).unwrap()).collect();
         frames.extend(encoder.finish().unwrap());
         frames
     }
@@ -307,21 +290,14 @@ mod tests {
         let links: Vec<_> = (0..200_000u32).map(|i| (7, 8 + 1000 * i)).collect();
         let frames = encode(&links);
         assert!(frames.len() > 1);
-        assert!(
-            frames
-                .iter()
-                .all(|(b, _)| b.content_bytes as usize <= MAX_CONTENT_BYTES)
-        );
+        assert!(frames.iter().all(|(b, _)| b.content_bytes as usize <= MAX_CONTENT_BYTES));
         assert_eq!(decode_all(&frames), links);
     }
 
     #[test]
     fn f18_a_varint_longer_than_needed_is_refused() {
         assert_eq!(take_varint(&mut [0x81, 0x00].as_slice()), None);
-        assert_eq!(
-            take_varint(&mut [0xff, 0xff, 0xff, 0xff, 0x7f].as_slice()),
-            None
-        );
+        assert_eq!(take_varint(&mut [0xff, 0xff, 0xff, 0xff, 0x7f].as_slice()), None);
         assert_eq!(take_varint(&mut [0x80].as_slice()), None);
     }
 
@@ -329,14 +305,8 @@ mod tests {
     fn f48_a_stated_size_beyond_the_limit_is_refused_before_allocation() {
         let (mut block, frame) = encode(&[(1, 2)]).remove(0);
         block.content_bytes = u32::MAX;
-        assert!(matches!(
-            decode(&block, &frame, 0),
-            Err(FormatError::Broken { .. })
-        ));
+        assert!(matches!(decode(&block, &frame, 0), Err(FormatError::Broken { .. })));
         block.content_bytes = 4;
-        assert!(matches!(
-            decode(&block, &frame, 0),
-            Err(FormatError::Broken { .. })
-        ));
+        assert!(matches!(decode(&block, &frame, 0), Err(FormatError::Broken { .. })));
     }
 }

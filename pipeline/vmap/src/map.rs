@@ -1,7 +1,5 @@
 //! A map as its reader sees it: a view of the bytes of a whole file. Section 5 of FORMAT.md.
 
-use std::num::NonZeroU32;
-
 use crate::container::{Closing, Container, Kind, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
@@ -10,9 +8,8 @@ use crate::records::{LinkBlock, MapSummary, NO_PARENT, Node, Record, Split, Surf
 use crate::tree::Nodes;
 
 /// The sections of a map in file order, without `sums`.
-pub const SECTIONS: [&str; 8] = [
-    "summary", "config", "nodes", "surfels", "links", "linkidx", "frame", "crs",
-];
+pub const SECTIONS: [&str; 8] =
+    ["summary", "config", "nodes", "surfels", "links", "linkidx", "frame", "crs"];
 
 /// The largest `config` a reader accepts.
 const MAX_CONFIG_BYTES: u64 = 4096;
@@ -49,15 +46,7 @@ impl<'a> MapView<'a> {
                 return Err(section.broken(0, format!("{found} records, summary says {expected}")));
             }
         }
-        Ok(MapView {
-            file,
-            summary,
-            frame,
-            nodes,
-            surfels,
-            links,
-            index,
-        })
+        Ok(MapView { file, summary, frame, nodes, surfels, links, index })
     }
 
     /// Gives the file around the sections.
@@ -80,10 +69,7 @@ impl<'a> MapView<'a> {
     /// # Errors
     /// Where the section is damaged.
     pub fn crs(&self) -> Result<(CrsKind, &'a [u8]), FormatError> {
-        Ok((
-            self.frame.crs_kind,
-            self.file.read_all(self.file.section("crs", 0)?)?,
-        ))
+        Ok((self.frame.crs_kind, self.file.read_all(self.file.section("crs", 0)?)?))
     }
 
     /// Gives the canonical text of the keys that decided the content. [F-14]
@@ -126,14 +112,8 @@ impl<'a> MapView<'a> {
     /// Where the frame or its row of the index is damaged.
     pub fn link_lists(&self, i: u64) -> Result<LinkLists, FormatError> {
         let block = self.link_block(i)?;
-        let frame = self
-            .file
-            .read(&self.links, block.offset_bytes, block.len_bytes.into())?;
-        links::decode(
-            &block,
-            frame,
-            self.links.offset_bytes.saturating_add(block.offset_bytes),
-        )
+        let frame = self.file.read(&self.links, block.offset_bytes, block.len_bytes.into())?;
+        links::decode(&block, frame, self.links.offset_bytes.saturating_add(block.offset_bytes))
     }
 
     /// Finds the frame whose range of links holds (a, b), if any.
@@ -200,9 +180,7 @@ impl<'a> MapView<'a> {
             }
         }
         if surfel != self.summary.n_surfels {
-            return Err(self
-                .surfels
-                .broken(0, format!("{surfel} leaves in the tree")));
+            return Err(self.surfels.broken(0, format!("{surfel} leaves in the tree")));
         }
         Ok(())
     }
@@ -216,9 +194,7 @@ impl<'a> MapView<'a> {
             && (surfel.level, surfel.bin) == (node.level, node.bin);
         if !same {
             let at = u64::from(node.first_surfel) * Surfel::BYTES as u64;
-            return Err(self
-                .surfels
-                .broken(at, format!("differs from its leaf, node {id}")));
+            return Err(self.surfels.broken(at, format!("differs from its leaf, node {id}")));
         }
         Ok(())
     }
@@ -234,9 +210,7 @@ impl<'a> MapView<'a> {
             }
             for (a, b) in self.link_lists(i)?.iter() {
                 if b >= self.summary.n_nodes {
-                    return Err(self
-                        .index
-                        .broken(at, format!("a link to node {b} of no tree")));
+                    return Err(self.index.broken(at, format!("a link to node {b} of no tree")));
                 }
                 let (a, b) = (self.node(a)?, self.node(b)?);
                 n_pairs += u128::from(a.end_surfel - a.first_surfel)
@@ -250,9 +224,7 @@ impl<'a> MapView<'a> {
             return Err(self.links.broken(end, "frames do not fill the section"));
         }
         if n_pairs != self.summary.n_visible_pairs {
-            return Err(self
-                .links
-                .broken(0, "links do not cover the stated visible pairs"));
+            return Err(self.links.broken(0, "links do not cover the stated visible pairs"));
         }
         Ok(())
     }
@@ -306,10 +278,7 @@ pub(crate) fn single<R: Record>(file: &Container<'_>, name: &str) -> Result<R, F
 
 /// Makes what closes a map, from its sections in the order of [`SECTIONS`].
 pub fn close_map(sections: &[Written]) -> Closing {
-    debug_assert!(
-        sections.iter().map(|s| s.name).eq(SECTIONS),
-        "sections in file order"
-    );
+    debug_assert!(sections.iter().map(|s| s.name).eq(SECTIONS), "sections in file order");
     close(Kind::Map, sections)
 }
 
@@ -319,7 +288,7 @@ pub fn config_text(
     leaf_capacity: u64,
     shape: crate::Shape,
     profile: pvmap_geometry::disc::Profile,
-    pairs: Option<(NonZeroU32, u128)>,
+    pairs: Option<(u32, u128)>,
 ) -> String {
     use crate::Shape;
     use pvmap_geometry::disc::Profile;

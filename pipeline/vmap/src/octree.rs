@@ -12,9 +12,8 @@ use crate::records::{OctreeSummary, Record, Source};
 use crate::tree::RoutingKey;
 
 /// The sections of an octree in file order, without `sums`.
-pub const SECTIONS: [&str; 9] = [
-    "summary", "columns", "sources", "names", "points", "normals", "codes", "frame", "crs",
-];
+pub const SECTIONS: [&str; 9] =
+    ["summary", "columns", "sources", "names", "points", "normals", "codes", "frame", "crs"];
 /// The file inside `NAME.octree/`.
 pub const FILE_NAME: &str = "points.pvo";
 /// Points from one entry of section `codes` to the next. [F-12]
@@ -77,16 +76,8 @@ impl ColumnType {
 }
 
 /// The columns a point record can have, in record order.
-pub const COLUMN_NAMES: [&str; 8] = [
-    "position",
-    "record",
-    "source",
-    "normal",
-    "color",
-    "intensity",
-    "class",
-    "gps_time",
-];
+pub const COLUMN_NAMES: [&str; 8] =
+    ["position", "record", "source", "normal", "color", "intensity", "class", "gps_time"];
 
 /// One column of a point record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -117,19 +108,12 @@ impl Schema {
         let columns = kinds
             .iter()
             .map(|&(name, kind)| {
-                let column = Column {
-                    name,
-                    kind,
-                    offset: record_bytes,
-                };
+                let column = Column { name, kind, offset: record_bytes };
                 record_bytes += kind.n_bytes();
                 column
             })
             .collect();
-        Schema {
-            columns,
-            record_bytes,
-        }
+        Schema { columns, record_bytes }
     }
 
     /// Gives the size of a record.
@@ -165,22 +149,14 @@ impl Schema {
             .chunks_exact(COLUMN_BYTES)
             .map(|row| {
                 let name = COLUMN_NAMES.into_iter().find(|n| {
-                    row[..16]
-                        .strip_prefix(n.as_bytes())
-                        .is_some_and(|r| r.iter().all(|&b| b == 0))
+                    row[..16].strip_prefix(n.as_bytes()).is_some_and(|r| r.iter().all(|&b| b == 0))
                 })?;
                 let kind = FieldReader::new(&row[16..]).u32();
-                Some((
-                    name,
-                    ColumnType::ALL.into_iter().find(|&k| k as u32 == kind)?,
-                ))
+                Some((name, ColumnType::ALL.into_iter().find(|&k| k as u32 == kind)?))
             })
             .collect();
         let schema = Schema::new(&kinds?);
-        let legal = schema
-            .columns
-            .iter()
-            .all(|c| kinds_of(c.name).contains(&c.kind));
+        let legal = schema.columns.iter().all(|c| kinds_of(c.name).contains(&c.kind));
         let starts =
             schema.columns.first()?.name == "position" && schema.columns.get(1)?.name == "record";
         (legal && starts && schema.to_bytes() == bytes).then_some(schema)
@@ -228,9 +204,7 @@ impl Placement {
     }
 
     fn source(&self, record: &[u8]) -> Option<&Source> {
-        let i = self
-            .source_at
-            .map_or(0, |at| FieldReader::new(&record[at..]).u32());
+        let i = self.source_at.map_or(0, |at| FieldReader::new(&record[at..]).u32());
         self.sources.get(i as usize)
     }
 
@@ -301,11 +275,7 @@ impl PointNormal {
         let mut r = FieldReader::new(bytes);
         let normal = [0; 3].map(|_| r.i16());
         let flags = r.u16();
-        let found = PointNormal {
-            normal,
-            oriented: flags & 2 != 0,
-            from_source: flags & 4 != 0,
-        };
+        let found = PointNormal { normal, oriented: flags & 2 != 0, from_source: flags & 4 != 0 };
         let short = normal.iter().all(|v| v.unsigned_abs() <= 1 << 14);
         (short && found.flags() == flags).then_some(found)
     }
@@ -350,12 +320,9 @@ impl<'a> OctreeView<'a> {
         let schema = Schema::from_bytes(file.read_all(columns)?)
             .ok_or_else(|| columns.broken(0, "not a layout of known columns"))?;
         let rows = file.section("sources", Source::BYTES as u32)?;
-        let sources: Vec<Source> = (0..rows.n_records)
-            .map(|i| record(&file, rows, i))
-            .collect::<Result<_, _>>()?;
-        let points = file
-            .section("points", schema.record_bytes() as u32)?
-            .clone();
+        let sources: Vec<Source> =
+            (0..rows.n_records).map(|i| record(&file, rows, i)).collect::<Result<_, _>>()?;
+        let points = file.section("points", schema.record_bytes() as u32)?.clone();
         let normals = file.section("normals", NORMAL_BYTES as u32)?.clone();
         let codes = file.section("codes", 8)?.clone();
         let n = summary.n_points;
@@ -372,16 +339,7 @@ impl<'a> OctreeView<'a> {
         if lattice && schema.columns[0].kind != ColumnType::I32x3 {
             return Err(columns.broken(0, "a lattice frame with real positions"));
         }
-        Ok(OctreeView {
-            file,
-            summary,
-            frame,
-            schema,
-            placement,
-            points,
-            normals,
-            codes,
-        })
+        Ok(OctreeView { file, summary, frame, schema, placement, points, normals, codes })
     }
 
     /// Gives the file around the sections.
@@ -404,10 +362,7 @@ impl<'a> OctreeView<'a> {
     /// # Errors
     /// Where the section is damaged.
     pub fn crs(&self) -> Result<(CrsKind, &'a [u8]), FormatError> {
-        Ok((
-            self.frame.crs_kind,
-            self.file.read_all(self.file.section("crs", 0)?)?,
-        ))
+        Ok((self.frame.crs_kind, self.file.read_all(self.file.section("crs", 0)?)?))
     }
 
     /// Gives the layout of the point records.
@@ -445,19 +400,12 @@ impl<'a> OctreeView<'a> {
         let records = self.file.read(&self.points, at, n.saturating_mul(stride))?;
         let row = NORMAL_BYTES as u64;
         let normals = match self.has_normals() {
-            true => self.file.read(
-                &self.normals,
-                first.saturating_mul(row),
-                n.saturating_mul(row),
-            )?,
+            true => {
+                self.file.read(&self.normals, first.saturating_mul(row), n.saturating_mul(row))?
+            }
             false => &[],
         };
-        Ok(Points {
-            view: self,
-            first,
-            records,
-            normals,
-        })
+        Ok(Points { view: self, first, records, normals })
     }
 
     /// Finds the first point whose Morton code is ≥ `code`, to within one stride: the point lies
@@ -507,9 +455,7 @@ impl<'a> OctreeView<'a> {
             first += n;
         }
         if digest != self.summary.digest {
-            return Err(self
-                .points
-                .broken(0, "the points are not those of the digest"));
+            return Err(self.points.broken(0, "the points are not those of the digest"));
         }
         Ok(())
     }
@@ -536,43 +482,27 @@ pub struct Point<'a> {
 impl<'a> Points<'a> {
     /// Walks the points in order.
     pub fn iter(&self) -> impl Iterator<Item = Result<Point<'a>, FormatError>> + use<'a> {
-        let Points {
-            view,
-            first,
-            records,
-            normals,
-        } = *self;
+        let Points { view, first, records, normals } = *self;
         let stride = view.schema.record_bytes();
-        records
-            .chunks_exact(stride)
-            .enumerate()
-            .map(move |(i, record)| {
-                let broken = |section: &Section, size: usize, what: &str| {
-                    section.broken((first + i as u64) * size as u64, what)
-                };
-                let g = view.placement.grid(record);
-                let g = g.ok_or_else(|| broken(&view.points, stride, "a point of no source"))?;
-                let normal = match normals.get(i * NORMAL_BYTES..(i + 1) * NORMAL_BYTES) {
-                    None => PointNormal::default(),
-                    Some(row) => PointNormal::from_bytes(row).ok_or_else(|| {
-                        broken(&view.normals, NORMAL_BYTES, "an impossible normal")
-                    })?,
-                };
-                let key = RoutingKey {
-                    g,
-                    normal: normal.normal,
-                    oriented: normal.oriented,
-                };
-                Ok(Point { key, record })
-            })
+        records.chunks_exact(stride).enumerate().map(move |(i, record)| {
+            let broken = |section: &Section, size: usize, what: &str| {
+                section.broken((first + i as u64) * size as u64, what)
+            };
+            let g = view.placement.grid(record);
+            let g = g.ok_or_else(|| broken(&view.points, stride, "a point of no source"))?;
+            let normal = match normals.get(i * NORMAL_BYTES..(i + 1) * NORMAL_BYTES) {
+                None => PointNormal::default(),
+                Some(row) => PointNormal::from_bytes(row)
+                    .ok_or_else(|| broken(&view.normals, NORMAL_BYTES, "an impossible normal"))?,
+            };
+            let key = RoutingKey { g, normal: normal.normal, oriented: normal.oriented };
+            Ok(Point { key, record })
+        })
     }
 }
 
 /// Makes what closes an octree, from its sections in the order of [`SECTIONS`].
 pub fn close_octree(sections: &[Written]) -> Closing {
-    debug_assert!(
-        sections.iter().map(|s| s.name).eq(SECTIONS),
-        "sections in file order"
-    );
+    debug_assert!(sections.iter().map(|s| s.name).eq(SECTIONS), "sections in file order");
     close(Kind::Octree, sections)
 }

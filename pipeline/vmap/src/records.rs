@@ -153,10 +153,7 @@ impl Surfel {
     pub fn cell(&self) -> Box3 {
         let min = pvmap_geometry::morton::decode(self.first_code).map(|v| v as i32);
         let side = 1 << (22 - self.level);
-        Box3 {
-            min,
-            max: min.map(|v| v + side),
-        }
+        Box3 { min, max: min.map(|v| v + side) }
     }
 }
 
@@ -195,10 +192,7 @@ impl Record for Surfel {
             radius2: r.u64(),
             n_points: r.u64(),
             first_code: r.u64(),
-            patch: Box3 {
-                min: [0; 3].map(|_| r.i32()),
-                max: [0; 3].map(|_| r.i32()),
-            },
+            patch: Box3 { min: [0; 3].map(|_| r.i32()), max: [0; 3].map(|_| r.i32()) },
             color: {
                 let color = [0; 3].map(|_| r.u16());
                 (flags & HAS_COLOR != 0).then_some(color)
@@ -322,9 +316,9 @@ pub struct OctreeSummary {
     pub n_oriented: u64,
     /// Order-free digest of the points. [F-11]
     pub digest: u128,
-    /// What was asked of the normals: 0 file then estimate, 1 estimate, 2 none.
+    /// What was asked of the normals: 0 auto, 1 file, 2 estimate, 3 none.
     pub normals: u32,
-    /// How they were oriented: 0 not at all, 1 sensor, 2 up, 3 sensor then up.
+    /// How they were oriented: 0 not at all, 1 sensor, 2 up.
     pub orientation: u32,
 }
 
@@ -357,7 +351,7 @@ impl Record for OctreeSummary {
         };
         // [F-8]: every record is either stored or counted with a reason.
         let sum = summary.n_points.checked_add(summary.n_invalid)?;
-        (sum == summary.n_read && summary.normals <= 2 && summary.orientation <= 3)
+        (sum == summary.n_read && summary.normals <= 3 && summary.orientation <= 2)
             .then_some(summary)
     }
 }
@@ -409,11 +403,7 @@ impl Record for Source {
             shift: [0; 3].map(|_| r.i64()),
             color_depth: r.u32(),
         };
-        let finite = source
-            .scale
-            .iter()
-            .chain(&source.offset)
-            .all(|v| v.is_finite());
+        let finite = source.scale.iter().chain(&source.offset).all(|v| v.is_finite());
         (finite && (1..=3).contains(&source.format) && matches!(source.color_depth, 0 | 8 | 16))
             .then_some(source)
     }

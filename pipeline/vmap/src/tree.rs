@@ -112,11 +112,7 @@ impl RoutingKey {
     /// Gives the normal with the sign the `binned` tree sees.
     #[inline]
     pub fn binned_normal(&self) -> Normal {
-        if self.oriented {
-            self.normal
-        } else {
-            normal::canonical_binned(self.normal)
-        }
+        if self.oriented { self.normal } else { normal::canonical_binned(self.normal) }
     }
 
     /// Gives the quadrant of the point among the quadrant leaves of `bin` (0…5).
@@ -174,11 +170,7 @@ pub fn root_node(shape: Shape, n_points: u64) -> Node {
         first_code: 0,
         level: 0,
         bin: -1,
-        split: if shape == Shape::Binned {
-            Split::Bins
-        } else {
-            Split::Octants
-        },
+        split: if shape == Shape::Binned { Split::Bins } else { Split::Octants },
         slot: 0,
     }
 }

@@ -1,0 +1,142 @@
+//! From the sorted points to the tree of nodes and surfels, at the level and capacity of a build.
+//!
+//! One pass reads the points in windows ([`points`]) and hands them to one [`cells`] cutter a bin
+//! (one in all for `paper`), which holds no more than the points of one unsettled cell; the points
+//! of a settled leaf become a surfel ([`leaf`]), or several where their normals stray. What only
+//! the whole tree knows, the spacing of small leaves, is filled in at the end ([`spacing`]).
+//!
+//! Start reading at [`cut`].
+
+mod cells;
+mod color;
+mod leaf;
+mod points;
+mod spacing;
+#[cfg(test)]
+mod tests;
+
+use pvmap_geometry::disc::Profile;
+use pvmap_store::Watch;
+use pvmap_vmap::records::NO_PARENT;
+use pvmap_vmap::tree::root_node;
+use pvmap_vmap::{OctreeView, Shape, Tree};
+use rayon::prelude::*;
+
+use crate::OctreeError;
+use cells::{Cutter, Rules};
+use points::{LeafPoint, Reader, Window};
+
+/// What a build asks of the tree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CutOptions {
+    /// The level at which a cell is a leaf whatever it holds, 1…21.
+    pub max_level: u8,
+    /// The points up to which a cell is a leaf; 0 gives a full tree.
+    pub leaf_capacity: u64,
+    /// Which of the two trees.
+    pub shape: Shape,
+    /// Which radius the surfels get: `Patch` raises R² to h².
+    pub profile: Profile,
+}
+
+/// Cuts the points of an octree into leaves and makes their surfels.
+///
+/// Nodes come in preorder, surfels in leaf order; an octree without points gives an empty tree. The
+/// tree depends on the points and the options alone. Runs on the current rayon pool: a window of
+/// points is decoded in parallel, then the bins take their points in parallel.
+///
+/// `memory_bytes` bounds the points that are held; the tree comes on top (40 bytes a node and 88 a
+/// surfel, up to twice that while the bins are joined). A cell of more points than its share holds
+/// (1/8 of the budget among the bins) is read again from the octree: up to six times if it is a
+/// leaf, once a level if it is cut further.
+///
+/// # Errors
+/// Where the octree is damaged or its points are not in Morton order, the run was asked to stop,
+/// or the tree has more nodes than ids.
+///
+/// Source: DESIGN.md §3, [D-3].
+pub fn cut(
+    octree: &OctreeView<'_>,
+    options: &CutOptions,
+    memory_bytes: u64,
+    watch: &dyn Watch,
+) -> Result<Tree, OctreeError> {
+    let n_points = octree.summary().n_points;
+    watch.stage("cut", Some(n_points), "points");
+    if n_points == 0 {
+        return Ok(Tree::default());
+    }
+    let reader = Reader::new(octree, options.shape, watch);
+    let mut cutters = cutters(&reader, options, memory_bytes);
+    let mut window = Window::new(memory_bytes / 4, n_points);
+    while window.advance(&reader)? {
+        let blocks = window.blocks();
+        cutters
+            .par_iter_mut()
+            .try_for_each(|cutter| blocks.iter().try_for_each(|block| cutter.take(block)))?;
+        watch.advance(window.n_points());
+    }
+    drop(window);
+    let parts = cutters.into_par_iter().map(Cutter::finish);
+    let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?)?;
+    spacing::fill(&mut tree.surfels, options.profile);
+    Ok(tree)
+}
+
+/// Makes the cutters of a shape, in the order of their subtrees.
+fn cutters<'a>(reader: &'a Reader<'a>, options: &CutOptions, memory_bytes: u64) -> Vec<Cutter<'a>> {
+    let bins = match options.shape {
+        Shape::Paper => -1..=-1,
+        Shape::Binned => 0..=6,
+    };
+    // While a vector grows there are two, of the size and of twice the size: 3/8 at worst.
+    let held_bytes = memory_bytes / 8 / bins.clone().count() as u64;
+    let rules = Rules {
+        max_level: options.max_level,
+        leaf_capacity: options.leaf_capacity,
+        shape: options.shape,
+        max_held: (held_bytes / size_of::<LeafPoint>() as u64) as usize,
+    };
+    bins.map(|bin| Cutter::new(reader, rules, bin)).collect()
+}
+
+/// Joins the trees of the cutters: `paper` has but one, `binned` gets a root above them.
+fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, OctreeError> {
+    if shape == Shape::Paper {
+        return Ok(parts.pop().unwrap_or_default());
+    }
+    let n_nodes = 1 + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
+    let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
+    let end = checked_id(n_nodes - 1)? + 1;
+    let mut tree =
+        Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };
+    let mut root = root_node(shape, n_points);
+    root.end = end;
+    // There are at most as many surfels as nodes.
+    root.end_surfel = n_surfels as u32;
+    tree.nodes.push(root);
+    for part in parts {
+        let (first, first_surfel) = (tree.nodes.len() as u32, tree.surfels.len() as u32);
+        tree.nodes.extend(part.nodes.into_iter().map(|mut node| {
+            let is_top = node.parent == NO_PARENT;
+            node.parent = if is_top { 0 } else { node.parent + first };
+            node.end += first;
+            node.first_surfel += first_surfel;
+            node.end_surfel += first_surfel;
+            node
+        }));
+        tree.surfels.extend(part.surfels.into_iter().map(|mut surfel| {
+            surfel.node += first;
+            surfel
+        }));
+    }
+    Ok(tree)
+}
+
+/// Gives the id of the node after `n_nodes` others.
+///
+/// # Errors
+/// Where ids run out: the ends of subtrees and [`NO_PARENT`] need the last two values.
+fn checked_id(n_nodes: usize) -> Result<u32, OctreeError> {
+    u32::try_from(n_nodes).ok().filter(|&id| id < NO_PARENT - 1).ok_or(OctreeError::TooManyNodes)
+}

@@ -1,0 +1,306 @@
+//! The tree as DESIGN.md §3 words it: recursion over vectors of points, wide integers, no haste.
+
+use std::collections::BTreeMap;
+
+use pvmap_geometry::Box3;
+use pvmap_geometry::disc::Profile;
+use pvmap_geometry::normal::Normal;
+use pvmap_vmap::records::NO_PARENT;
+use pvmap_vmap::{Node, Shape, Split, Surfel, Tree};
+
+use super::TestPoint;
+use crate::cut::CutOptions;
+
+/// Cuts a cloud in any order.
+pub(super) fn cut_slowly(cloud: &[TestPoint], depths: &[u32], options: &CutOptions) -> Tree {
+    let mut oracle = Oracle { options: *options, depths: depths.to_vec(), tree: Tree::default() };
+    let all: Vec<TestPoint> = cloud.to_vec();
+    if all.is_empty() {
+        return oracle.tree;
+    }
+    let whole = Cell { level: 0, corner: [0; 3], bin: -1 };
+    match options.shape {
+        Shape::Paper => oracle.octree(&all, whole, NO_PARENT, 0),
+        Shape::Binned => {
+            let bins = group(&all, |p| bin_of(p) as u8);
+            let root = oracle.open(whole, NO_PARENT, 0, Split::Bins);
+            for (&bin, points) in &bins {
+                let bin_cell = Cell { bin: bin as i8, ..whole };
+                oracle.octree(points, bin_cell, root, bin);
+            }
+            oracle.close(root, all.len());
+        }
+    }
+    oracle.finish()
+}
+
+#[derive(Clone, Copy)]
+struct Cell {
+    level: u8,
+    corner: [u32; 3],
+    bin: i8,
+}
+
+struct Oracle {
+    options: CutOptions,
+    depths: Vec<u32>,
+    tree: Tree,
+}
+
+impl Oracle {
+    fn octree(&mut self, points: &[TestPoint], cell: Cell, parent: u32, slot: u8) {
+        let fits = points.len() as u64 <= self.options.leaf_capacity;
+        if fits || cell.level == self.options.max_level {
+            return self.leaf(points, cell, parent, slot);
+        }
+        let id = self.open(cell, parent, slot, Split::Octants);
+        let level = cell.level + 1;
+        let side = 1 << (22 - level);
+        let octant_of = |p: &TestPoint| {
+            let upper = [0, 1, 2].map(|i| u8::from(p.g[i] - cell.corner[i] >= side));
+            upper[0] + 2 * upper[1] + 4 * upper[2]
+        };
+        for (octant, points) in group(points, octant_of) {
+            let corner = [0, 1, 2].map(|i| cell.corner[i] + u32::from(octant >> i & 1) * side);
+            let child = Cell { level, corner, ..cell };
+            self.octree(&points, child, id, octant);
+        }
+        self.close(id, points.len());
+    }
+
+    fn leaf(&mut self, points: &[TestPoint], cell: Cell, parent: u32, slot: u8) {
+        let quadrants = group(points, |p| match cell.bin {
+            0..=5 => quadrant_of(p, cell.bin as usize / 2),
+            _ => 0,
+        });
+        if !(0..=5).contains(&cell.bin) || !any_strays(points) || quadrants.len() == 1 {
+            return self.surfel(points, cell, parent, slot);
+        }
+        let id = self.open(cell, parent, slot, Split::Quadrants);
+        for (&quadrant, points) in &quadrants {
+            self.surfel(points, cell, id, quadrant);
+        }
+        self.close(id, points.len());
+    }
+
+    fn surfel(&mut self, points: &[TestPoint], cell: Cell, parent: u32, slot: u8) {
+        let id = self.open(cell, parent, slot, Split::Leaf);
+        let centroid = [0, 1, 2].map(|i| mean(points.iter().map(|p| p.g[i])).expect("a point"));
+        let distance2 = |p: &TestPoint| -> i128 {
+            (0..3).map(|i| square(i128::from(p.g[i]) - i128::from(centroid[i]))).sum()
+        };
+        let (normal, two_sided) = self.normal(points);
+        let lit: Vec<[u16; 3]> = points.iter().filter_map(|p| self.light(p)).collect();
+        let color = [0, 1, 2].map(|i| mean(lit.iter().map(|c| u32::from(c[i]))).unwrap_or(0));
+        self.tree.surfels.push(Surfel {
+            centroid,
+            normal,
+            two_sided,
+            half_spacing: 0,
+            radius2: points.iter().map(distance2).max().expect("a point") as u64,
+            n_points: points.len() as u64,
+            first_code: code_of(cell.corner),
+            patch: points.iter().fold(Box3::EMPTY, |b, p| b.join(&Box3::at(p.g.map(|v| v as i32)))),
+            color: (!lit.is_empty()).then_some(color.map(|c| c as u16)),
+            level: cell.level,
+            bin: cell.bin,
+            node: id,
+        });
+        self.close(id, points.len());
+    }
+
+    fn normal(&self, points: &[TestPoint]) -> (Normal, bool) {
+        let with: Vec<&TestPoint> = points.iter().filter(|p| p.normal != [0; 3]).collect();
+        let sizes = [0, 1, 2].map(|a| with.iter().map(|p| i128::from(p.normal[a]).abs()).sum());
+        let axis = largest(sizes);
+        let canonical = |p: &TestPoint| match self.options.shape {
+            Shape::Binned => signed_by(p.normal, largest(wide(p.normal))),
+            Shape::Paper => signed_by(p.normal, axis),
+        };
+        let unoriented = with.iter().any(|p| !p.oriented);
+        let known = |p: &TestPoint| match p.oriented {
+            true => p.normal,
+            false => canonical(p),
+        };
+        let sum = total(with.iter().map(|p| known(p)));
+        let limit = square((with.len() as i128) << 14);
+        if 100 * dot(sum, sum) < limit {
+            return (rescaled(total(with.iter().map(|p| canonical(p)))), true);
+        }
+        (rescaled(sum), unoriented)
+    }
+
+    fn light(&self, p: &TestPoint) -> Option<[u16; 3]> {
+        let full = match self.depths[p.source as usize] {
+            0 => return None,
+            8 => 255.0,
+            _ => 65535.0,
+        };
+        Some(p.color.map(|v| {
+            let c = f64::from(v) / full;
+            let light = match c <= 0.04045 {
+                true => c / 12.92,
+                false => ((c + 0.055) / 1.055).powf(2.4),
+            };
+            (light * 65535.0).round() as u16
+        }))
+    }
+
+    fn open(&mut self, cell: Cell, parent: u32, slot: u8, split: Split) -> u32 {
+        self.tree.nodes.push(Node {
+            parent,
+            end: 0,
+            first_surfel: self.tree.surfels.len() as u32,
+            end_surfel: 0,
+            n_points: 0,
+            first_code: code_of(cell.corner),
+            level: cell.level,
+            bin: cell.bin,
+            split,
+            slot,
+        });
+        self.tree.nodes.len() as u32 - 1
+    }
+
+    fn close(&mut self, id: u32, n_points: usize) {
+        let end = self.tree.nodes.len() as u32;
+        let node = &mut self.tree.nodes[id as usize];
+        node.end = end;
+        node.end_surfel = self.tree.surfels.len() as u32;
+        node.n_points = n_points as u64;
+    }
+
+    fn finish(mut self) -> Tree {
+        for s in self.tree.surfels.iter_mut().filter(|s| s.n_points >= 4) {
+            let mut e = [0, 1, 2].map(|i| i128::from(s.patch.max[i] - s.patch.min[i] + 1));
+            e.sort_by_key(|&v| -v);
+            s.half_spacing = (root(e[0] * e[1] / i128::from(s.n_points)) / 2).max(1) as u32;
+        }
+        let own = self.tree.surfels.iter().filter(|s| s.n_points >= 4);
+        let mut own: Vec<u32> = own.map(|s| s.half_spacing).collect();
+        own.sort();
+        let lower_median = match own.len() {
+            0 => 1,
+            n if n % 2 == 1 => own[n / 2],
+            n => own[n / 2 - 1],
+        };
+        for s in &mut self.tree.surfels {
+            if s.n_points < 4 {
+                s.half_spacing = lower_median;
+            }
+            let h = s.half_spacing as i32;
+            s.patch.min = s.patch.min.map(|v| v - h);
+            s.patch.max = s.patch.max.map(|v| v + h);
+            if self.options.profile == Profile::Patch {
+                s.radius2 = s.radius2.max(h as u64 * h as u64);
+            }
+        }
+        self.tree
+    }
+}
+
+fn group(points: &[TestPoint], by: impl Fn(&TestPoint) -> u8) -> BTreeMap<u8, Vec<TestPoint>> {
+    let mut groups: BTreeMap<u8, Vec<TestPoint>> = BTreeMap::new();
+    for p in points {
+        groups.entry(by(p)).or_default().push(*p);
+    }
+    groups
+}
+
+fn bin_of(p: &TestPoint) -> usize {
+    if p.normal == [0; 3] {
+        return 6;
+    }
+    let axis = largest(wide(p.normal));
+    match p.oriented && p.normal[axis] < 0 {
+        true => 2 * axis + 1,
+        false => 2 * axis,
+    }
+}
+
+fn seen(p: &TestPoint) -> Normal {
+    match p.oriented {
+        true => p.normal,
+        false => signed_by(p.normal, largest(wide(p.normal))),
+    }
+}
+
+fn quadrant_of(p: &TestPoint, axis: usize) -> u8 {
+    let n = seen(p);
+    let (u, v) = ([1, 2, 0][axis], [2, 0, 1][axis]);
+    u8::from(n[u] < 0) + 2 * u8::from(n[v] < 0)
+}
+
+fn any_strays(points: &[TestPoint]) -> bool {
+    let m = total(points.iter().map(seen));
+    points.iter().any(|p| {
+        let n = wide(seen(p));
+        dot(n, m) < 0 || 4 * square(dot(n, m)) < 3 * dot(n, n) * dot(m, m)
+    })
+}
+
+/// Makes the component along `axis` positive; where it is zero, the first that is not.
+fn signed_by(n: Normal, axis: usize) -> Normal {
+    let first = [n[axis], n[0], n[1], n[2]].into_iter().find(|&c| c != 0);
+    match first {
+        Some(c) if c < 0 => n.map(|v| -v),
+        _ => n,
+    }
+}
+
+fn largest(v: [i128; 3]) -> usize {
+    let top = v.iter().map(|c| c.abs()).max().expect("three");
+    v.iter().position(|c| c.abs() == top).expect("one of them")
+}
+
+fn rescaled(sum: [i128; 3]) -> Normal {
+    let norm2 = dot(sum, sum);
+    if norm2 == 0 {
+        return [0; 3];
+    }
+    sum.map(|v| {
+        // The largest q with q - 1/2 ≤ |v|·2^14/|s|.
+        let reaches = |q: i128| square(2 * q - 1) * norm2 <= square(v << 15);
+        let (mut low, mut high) = (0, 1 << 15);
+        while high - low > 1 {
+            let middle = (low + high) / 2;
+            if reaches(middle) { low = middle } else { high = middle }
+        }
+        (low * v.signum()) as i16
+    })
+}
+
+fn root(v: i128) -> i128 {
+    let (mut low, mut high) = (0, 1 << 40);
+    while high - low > 1 {
+        let middle = (low + high) / 2;
+        if middle * middle <= v { low = middle } else { high = middle }
+    }
+    low
+}
+
+fn mean(values: impl Iterator<Item = u32>) -> Option<u32> {
+    let (sum, n) = values.fold((0i128, 0i128), |(s, n), v| (s + i128::from(v), n + 1));
+    (n > 0).then(|| (2 * sum + n).div_euclid(2 * n) as u32)
+}
+
+fn code_of(corner: [u32; 3]) -> u64 {
+    let bits = (0..63).map(|b| u64::from(corner[b % 3] >> (b / 3 + 1) & 1) << b);
+    bits.sum()
+}
+
+fn total(normals: impl Iterator<Item = Normal>) -> [i128; 3] {
+    normals.fold([0; 3], |s, n| [0, 1, 2].map(|i| s[i] + i128::from(n[i])))
+}
+
+fn wide(n: Normal) -> [i128; 3] {
+    n.map(i128::from)
+}
+
+fn dot(a: [i128; 3], b: [i128; 3]) -> i128 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn square(v: i128) -> i128 {
+    v * v
+}

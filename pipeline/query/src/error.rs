@@ -1,0 +1,85 @@
+//! Why a question has no answer.
+
+use pvmap_vmap::FormatError;
+
+/// What is wrong with a question or with the map it was put to; coordinates are world units.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum QueryError {
+    /// The place is not in the cube of the scan. [V-8]
+    #[error(
+        "{} lies outside the scan's cube ({} to {}); give a place inside it, in the scan's units",
+        commas(place),
+        commas(min),
+        commas(max)
+    )]
+    OutsideCube {
+        /// The place asked for.
+        place: [f64; 3],
+        /// The cube's lowest corner.
+        min: [f64; 3],
+        /// The cube's highest corner.
+        max: [f64; 3],
+    },
+    /// The nearest surfel is beyond the snap limit. [V-8]
+    #[error(
+        "no surface at {}: the nearest is {nearest} away, {limit} is allowed; \
+         move the place or raise the snap distance",
+        commas(place)
+    )]
+    NoSurface {
+        /// The place asked for.
+        place: [f64; 3],
+        /// Distance to the nearest surfel.
+        nearest: f64,
+        /// The snap limit.
+        limit: f64,
+    },
+    /// The map is that of a scan without points.
+    #[error("the map has no surfels because its scan has no points; ask a map of another scan")]
+    Empty,
+    /// The normal of a place is no direction.
+    #[error(
+        "the normal {} at {} is zero or not finite; give a direction or leave the normal out",
+        commas(normal),
+        commas(place)
+    )]
+    Normal {
+        /// The place asked for.
+        place: [f64; 3],
+        /// The normal given.
+        normal: [f32; 3],
+    },
+    /// The snap distance is no distance.
+    #[error("the snap distance {0} is negative or not a number; give one of 0 or more")]
+    SnapDistance(f64),
+    /// The map cannot be read.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+}
+
+/// Whom an error concerns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ErrorKind {
+    /// How the question was put; another place does not help.
+    Usage,
+    /// This place; others may have an answer.
+    Place,
+    /// The map file.
+    Map,
+}
+
+impl QueryError {
+    /// Says whom the error concerns.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            QueryError::Normal { .. } | QueryError::SnapDistance(_) => ErrorKind::Usage,
+            QueryError::OutsideCube { .. } | QueryError::NoSurface { .. } => ErrorKind::Place,
+            QueryError::Empty | QueryError::Format(_) => ErrorKind::Map,
+        }
+    }
+}
+
+/// Writes a vector as the command line takes it: `x,y,z`.
+fn commas<T: std::fmt::Display>(v: &[T; 3]) -> String {
+    format!("{},{},{}", v[0], v[1], v[2])
+}

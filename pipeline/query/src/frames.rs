@@ -1,0 +1,71 @@
+//! Link frames, decoded and kept for the next question.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pvmap_vmap::links::LinkLists;
+use pvmap_vmap::{FormatError, MapView};
+
+/// Frames kept. One takes some 0.2 MB decoded, 0.7 MB at most, so all take some 50 MB.
+const N_SLOTS: usize = 256;
+
+/// A decoded link frame.
+#[derive(Debug)]
+struct Frame {
+    index: u64,
+    first: (u32, u32),
+    last: (u32, u32),
+    lists: LinkLists,
+}
+
+/// The frames decoded last: frame i in slot i modulo [`N_SLOTS`].
+#[derive(Debug)]
+pub(crate) struct Frames {
+    slots: Box<[Mutex<Option<Arc<Frame>>>]>,
+}
+
+impl Default for Frames {
+    fn default() -> Frames {
+        Frames { slots: (0..N_SLOTS).map(|_| Mutex::default()).collect() }
+    }
+}
+
+impl Frames {
+    /// Gives a frame, decoding it unless it is still here.
+    fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<Frame>, FormatError> {
+        let slot = &self.slots[(index % N_SLOTS as u64) as usize];
+        let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(frame) = kept().as_ref().filter(|frame| frame.index == index) {
+            return Ok(Arc::clone(frame));
+        }
+        // Decoded outside the lock: others may use the slot meanwhile, at worst twice the work.
+        let block = view.link_block(index)?;
+        let lists = view.link_lists(index)?;
+        let frame = Arc::new(Frame { index, first: block.first, last: block.last, lists });
+        *kept() = Some(Arc::clone(&frame));
+        Ok(frame)
+    }
+}
+
+/// Looks links up, best in rising order: the frame of one is often that of the next.
+#[derive(Debug)]
+pub(crate) struct Lookup<'m, 'a> {
+    view: &'m MapView<'a>,
+    frames: &'m Frames,
+    frame: Option<Arc<Frame>>,
+}
+
+impl<'m, 'a> Lookup<'m, 'a> {
+    pub(crate) fn new(view: &'m MapView<'a>, frames: &'m Frames) -> Lookup<'m, 'a> {
+        Lookup { view, frames, frame: None }
+    }
+
+    /// Says whether (a, b), a < b, is a link.
+    pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
+        let here = |f: &Arc<Frame>| f.first <= (a, b) && (a, b) <= f.last;
+        if !self.frame.as_ref().is_some_and(here) {
+            let Some(index) = self.view.find_link_block(a, b)? else { return Ok(false) };
+            self.frame = Some(self.frames.get(self.view, index)?);
+        }
+        Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
+    }
+}

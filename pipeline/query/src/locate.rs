@@ -1,0 +1,240 @@
+//! From a place in the world to the surfel that stands there. Source: DESIGN.md [V-8].
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use pvmap_geometry::disc::Profile;
+use pvmap_geometry::normal::{self, Normal};
+use pvmap_geometry::{Box3, GridPoint, grid, morton};
+use pvmap_vmap::tree::{Nodes, RoutingKey, route};
+use pvmap_vmap::{FormatError, Node, Surfel};
+
+use crate::error::QueryError;
+use crate::map::{Map, Reach, cell_box, points_box};
+
+/// A place somebody asks about.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// World coordinates, in the units of the scan.
+    pub position: [f64; 3],
+    /// Direction of any length, to choose the side of an edge or thin wall.
+    pub normal: Option<[f32; 3]>,
+}
+
+/// How far a surfel may be from a place and still answer for it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Snap {
+    /// Four times the half spacing of the surfel found.
+    #[default]
+    FourHalfSpacings,
+    /// So many world units, 0 or more.
+    Within(f64),
+}
+
+/// The surfel that answers for a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Located {
+    /// Its id.
+    pub surfel: u32,
+    /// Its leaf.
+    pub node: u32,
+    /// World units from the place to the surfel's patch box (profile `paper`: to the box of its
+    /// points), 0 inside.
+    pub distance: f64,
+}
+
+/// A place on the grid, with its quantised normal.
+#[derive(Debug, Clone, Copy)]
+struct Target {
+    g: GridPoint,
+    normal: Option<Normal>,
+}
+
+/// How well a surfel answers for a place, the best first: [V-8]'s order word by word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Fit {
+    /// Squared distance to its box, grid steps².
+    distance2: u64,
+    /// n_k·n, 0 without a normal.
+    along: Reverse<i64>,
+    /// |n_k·(g - c_k)|.
+    off_plane: u64,
+    surfel: u32,
+}
+
+/// A surfel with its leaf and its fit.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    fit: Fit,
+    node: u32,
+    half_spacing: u32,
+}
+
+impl Map<'_> {
+    /// Finds the surfel that answers for a place.
+    ///
+    /// With a normal the place is routed as a stored point would be. Without one, or where no
+    /// leaf takes such a point, the best leaf among those whose closed cell holds the place
+    /// answers, else the best of all: least distance, then the normal closest to the given one,
+    /// then the nearest plane, then the lowest id.
+    ///
+    /// # Errors
+    /// Where the place is outside the cube, its normal is no direction, the snap limit is no
+    /// distance or the surfel is beyond it, the map has no surfels or is damaged.
+    pub fn locate(&self, place: &Place, snap: Snap) -> Result<Located, QueryError> {
+        if let Snap::Within(distance) = snap
+            && (distance.is_nan() || distance < 0.0)
+        {
+            return Err(QueryError::SnapDistance(distance));
+        }
+        let target = self.target_of(place)?;
+        let found = match self.routed(&target)? {
+            Some(found) => found,
+            None => match self.best(&target, |node| holds(node, target.g).then_some(0))? {
+                Some(found) => found,
+                None => self.nearest(&target)?.ok_or(QueryError::Empty)?,
+            },
+        };
+        self.within(place, snap, &found)
+    }
+
+    /// Leads a place onto the grid.
+    fn target_of(&self, place: &Place) -> Result<Target, QueryError> {
+        let Place { position, normal } = *place;
+        let frame = &self.view().frame().frame;
+        let g = frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
+            place: position,
+            min: frame.world_of_real([0.0; 3]),
+            max: frame.world_of_real([f64::from(grid::GRID_MAX); 3]),
+        })?;
+        let quantised = match normal {
+            None => None,
+            Some(normal) => {
+                let no_direction = QueryError::Normal { place: position, normal };
+                Some(normal::quantise(normal).ok_or(no_direction)?)
+            }
+        };
+        Ok(Target { g, normal: quantised })
+    }
+
+    /// Finds the leaf that would hold a stored point like this one.
+    fn routed(&self, target: &Target) -> Result<Option<Found>, FormatError> {
+        let Some(normal) = target.normal else { return Ok(None) };
+        let key = RoutingKey { g: target.g, normal, oriented: true };
+        let Some(id) = route(self.view(), &key)? else { return Ok(None) };
+        let leaf = self.view().node(id)?;
+        self.judge(target, id, &leaf).map(Some)
+    }
+
+    /// Finds the best of all leaves.
+    fn nearest(&self, target: &Target) -> Result<Option<Found>, FormatError> {
+        let reach = self.reach()?;
+        let g = target.g.map(|v| v as i32);
+        self.best(target, |node| {
+            let cell = cell_box(node.first_code, node.level);
+            Some(cell.grown(reach[usize::from(node.level)]).distance2(g))
+        })
+    }
+
+    /// Finds the best leaf among those under nodes that have a bound: the least squared distance
+    /// any leaf below can have. The nodes of least bound are opened first.
+    fn best(
+        &self,
+        target: &Target,
+        bound: impl Fn(&Node) -> Option<u64>,
+    ) -> Result<Option<Found>, FormatError> {
+        let mut best: Option<Found> = None;
+        let mut open = BinaryHeap::new();
+        if self.view().n_nodes() > 0 {
+            open.extend(bound(&self.view().node(0)?).map(|b| Reverse((b, 0))));
+        }
+        while let Some(Reverse((least, id))) = open.pop() {
+            // Not `>=`: among leaves at the same distance the rest of the order decides.
+            if best.is_some_and(|best| least > best.fit.distance2) {
+                break;
+            }
+            let node = self.view().node(id)?;
+            if node.is_leaf() {
+                let found = self.judge(target, id, &node)?;
+                best = best.into_iter().chain([found]).min_by_key(|found| found.fit);
+            }
+            for child in self.children(id, node) {
+                let (child_id, child) = child?;
+                open.extend(bound(&child).map(|b| Reverse((b, child_id))));
+            }
+        }
+        Ok(best)
+    }
+
+    /// Says how well a leaf answers.
+    fn judge(&self, target: &Target, id: u32, leaf: &Node) -> Result<Found, FormatError> {
+        let surfel = self.surfel_of(id, leaf)?;
+        let g = target.g.map(|v| v as i32);
+        let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(surfel.centroid[i]));
+        let fit = Fit {
+            distance2: self.answering_box(&surfel).distance2(g),
+            along: Reverse(dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from))),
+            off_plane: dot(surfel.normal, off).unsigned_abs(),
+            surfel: leaf.first_surfel,
+        };
+        Ok(Found { fit, node: id, half_spacing: surfel.half_spacing })
+    }
+
+    /// Gives the box that distances to a surfel are taken to.
+    fn answering_box(&self, surfel: &Surfel) -> Box3 {
+        match self.profile() {
+            Profile::Patch => surfel.patch,
+            Profile::Paper => points_box(surfel),
+        }
+    }
+
+    /// Gives how far patch boxes leave their cells. The first call reads all surfels once.
+    fn reach(&self) -> Result<&Reach, FormatError> {
+        if self.profile() == Profile::Paper {
+            // A box of points never leaves its cell.
+            return Ok(&[0; morton::MAX_LEVEL as usize + 1]);
+        }
+        if let Some(reach) = self.reach.get() {
+            return Ok(reach);
+        }
+        let mut reach = Reach::default();
+        for id in 0..self.view().summary().n_surfels {
+            let surfel = self.surfel(id)?;
+            let (cell, patch) = (cell_box(surfel.first_code, surfel.level), surfel.patch);
+            let most = (0..3).map(|i| (cell.min[i] - patch.min[i]).max(patch.max[i] - cell.max[i]));
+            let entry = &mut reach[usize::from(surfel.level)];
+            *entry = most.fold(*entry, i32::max);
+        }
+        for level in (1..reach.len()).rev() {
+            reach[level - 1] = reach[level - 1].max(reach[level]);
+        }
+        Ok(self.reach.get_or_init(|| reach))
+    }
+
+    /// Lets a surfel answer if it is within the snap limit.
+    fn within(&self, place: &Place, snap: Snap, found: &Found) -> Result<Located, QueryError> {
+        let unit = self.view().frame().frame.unit();
+        // Below 2^53, so the float is exact before the root.
+        let distance = (found.fit.distance2 as f64).sqrt() * unit;
+        let four = 4 * u64::from(found.half_spacing);
+        let (near, limit) = match snap {
+            Snap::FourHalfSpacings => (found.fit.distance2 <= four * four, four as f64 * unit),
+            Snap::Within(limit) => (distance <= limit, limit),
+        };
+        if !near {
+            let place = place.position;
+            return Err(QueryError::NoSurface { place, nearest: distance, limit });
+        }
+        Ok(Located { surfel: found.fit.surfel, node: found.node, distance })
+    }
+}
+
+/// Decides whether a node's closed cell, [g0, g0 + side], holds a place.
+fn holds(node: &Node, g: GridPoint) -> bool {
+    let cell = cell_box(node.first_code, node.level);
+    (0..3).all(|i| (cell.min[i]..=cell.max[i] + 1).contains(&(g[i] as i32)))
+}
+
+fn dot(n: Normal, v: [i64; 3]) -> i64 {
+    (0..3).map(|i| i64::from(n[i]) * v[i]).sum()
+}

@@ -1,0 +1,163 @@
+//! The map that is asked, and the checked way to its nodes and surfels.
+
+use std::sync::OnceLock;
+
+use pvmap_geometry::disc::Profile;
+use pvmap_geometry::{Box3, morton};
+use pvmap_vmap::map::profile_of;
+use pvmap_vmap::records::Record;
+use pvmap_vmap::tree::Nodes;
+use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
+
+use crate::error::QueryError;
+use crate::frames::Frames;
+
+/// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
+pub(crate) const MAX_PATH: usize = 24;
+
+/// An open map that answers questions, from many threads at once if need be.
+#[derive(Debug)]
+pub struct Map<'a> {
+    view: MapView<'a>,
+    profile: Profile,
+    from_given_pairs: bool,
+    pub(crate) frames: Frames,
+    pub(crate) reach: OnceLock<Reach>,
+}
+
+/// How far patch boxes leave their cells, in grid steps: entry L holds for all leaves of level L
+/// and deeper.
+pub(crate) type Reach = [i32; morton::MAX_LEVEL as usize + 1];
+
+impl<'a> Map<'a> {
+    /// Opens the bytes of a whole map file, reading its header, table and a few small rows.
+    ///
+    /// # Errors
+    /// Where the bytes are not those of a map that can be read.
+    pub fn open(bytes: &'a [u8]) -> Result<Map<'a>, QueryError> {
+        let view = MapView::open(bytes)?;
+        let config = view.config()?;
+        let profile = match profile_of(config) {
+            Some(profile) => profile,
+            None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
+        };
+        let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
+        let (frames, reach) = (Frames::default(), OnceLock::new());
+        Ok(Map { view, profile, from_given_pairs, frames, reach })
+    }
+
+    /// Gives the file behind the answers.
+    pub fn view(&self) -> &MapView<'a> {
+        &self.view
+    }
+
+    /// Gives the profile the map was built with. [V-2]
+    pub fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// Says whether the build started from given pairs instead of all siblings. [V-5]
+    pub fn from_given_pairs(&self) -> bool {
+        self.from_given_pairs
+    }
+
+    /// Walks the children of a node in slot order, checking what FORMAT.md says of them.
+    ///
+    /// Each node is child of one node only and sits at the depth its level allows, so that a walk
+    /// over any file meets each node at most once, at most [`MAX_PATH`] deep.
+    pub(crate) fn children(
+        &self,
+        id: u32,
+        node: Node,
+    ) -> impl Iterator<Item = Result<(u32, Node), FormatError>> + '_ {
+        let mut next = id + 1;
+        let mut least_slot = 0;
+        std::iter::from_fn(move || {
+            if node.is_leaf() || next >= node.end {
+                return None;
+            }
+            let child_id = next;
+            let child = self.view.node(child_id).and_then(|child| {
+                let fits = child.parent == id
+                    && child.end <= node.end
+                    && (least_slot..node.split.n_slots()).contains(&child.slot)
+                    && is_cell_below(&node, &child);
+                let what = "is no child of the node before it";
+                fits.then_some(child).ok_or_else(|| self.broken_node(child_id, what))
+            });
+            // Past a broken child nothing is known: its error ends the walk.
+            next = child.as_ref().map_or(node.end, |child| child.end);
+            least_slot = child.as_ref().map_or(0, |child| child.slot + 1);
+            Some(child.map(|child| (child_id, child)))
+        })
+    }
+
+    /// Reads the surfel of a leaf, checking that it is the leaf's.
+    pub(crate) fn surfel_of(&self, id: u32, leaf: &Node) -> Result<Surfel, FormatError> {
+        let surfel = self.surfel(leaf.first_surfel)?;
+        let same =
+            surfel.node == id && (surfel.first_code, surfel.level) == (leaf.first_code, leaf.level);
+        same.then_some(surfel).ok_or_else(|| self.broken_node(id, "is not the leaf of its surfel"))
+    }
+
+    /// Reads a surfel, checking that its points lie in its cell.
+    pub(crate) fn surfel(&self, id: u32) -> Result<Surfel, FormatError> {
+        let surfel = self.view.surfel(id)?;
+        // A spacing is at most half the cube's side; both together keep the boxes within i32.
+        let sane = surfel.half_spacing < 1 << 22 && !surfel.patch.is_empty();
+        let fits = sane && {
+            let (points, cell) = (points_box(&surfel), cell_box(surfel.first_code, surfel.level));
+            !points.is_empty() && points.meet(&cell) == points
+        };
+        let what = "has points outside its cell";
+        fits.then_some(surfel).ok_or_else(|| broken(&self.view, "surfels", Surfel::BYTES, id, what))
+    }
+
+    /// Names a broken rule of a node.
+    pub(crate) fn broken_node(&self, id: u32, what: &str) -> FormatError {
+        broken(&self.view, "nodes", Node::BYTES, id, what)
+    }
+}
+
+/// Gives the box of a leaf's points: the patch box without its margin.
+pub(crate) fn points_box(surfel: &Surfel) -> Box3 {
+    surfel.patch.grown(-(surfel.half_spacing as i32))
+}
+
+/// Gives the box of the grid places in a cell, [g0, g0 + side - 1].
+pub(crate) fn cell_box(first_code: u64, level: u8) -> Box3 {
+    let min = morton::decode(first_code).map(|v| v as i32);
+    let side = 1 << (22 - level);
+    Box3 { min, max: min.map(|v| v + side - 1) }
+}
+
+/// Decides whether a child may be where it is, by its parent's split.
+fn is_cell_below(node: &Node, child: &Node) -> bool {
+    let same_cell = (child.level, child.first_code) == (node.level, node.first_code);
+    match node.split {
+        Split::Leaf => false,
+        Split::Octants => {
+            node.level < morton::MAX_LEVEL
+                && child.level == node.level + 1
+                && morton::cell_range(node.first_code, node.level).contains(&child.first_code)
+                && child.split != Split::Bins
+        }
+        Split::Quadrants => same_cell && child.is_leaf(),
+        Split::Bins => same_cell && child.split != Split::Bins,
+    }
+}
+
+/// Names a broken rule of record `id` of a section.
+fn broken(
+    view: &MapView<'_>,
+    section: &str,
+    record_bytes: usize,
+    id: u32,
+    what: &str,
+) -> FormatError {
+    let at_bytes = u64::from(id) * record_bytes as u64;
+    match view.file().section(section, record_bytes as u32) {
+        Ok(found) => found.broken(at_bytes, format!("record {id} {what}")),
+        Err(missing) => missing,
+    }
+}

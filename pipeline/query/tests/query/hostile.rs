@@ -1,0 +1,122 @@
+//! Files that are nonsense under right checksums: errors or answers, never a panic or a hang.
+
+use crate::common::{Cut, Parts, frame, grow, random_links, random_points, siblings};
+use fastrand::Rng;
+use pvmap_geometry::disc::Profile;
+use pvmap_query::{Located, Map, PairAnswer, Place, QueryError, Snap};
+use pvmap_vmap::Shape;
+
+/// What a file answers to six places and all pairs of them.
+type Answers = Vec<Result<(Located, Option<PairAnswer>), QueryError>>;
+
+/// Asks a file all there is to ask; the same seed asks the same.
+fn ask(file: &[u8], seed: u64) -> Answers {
+    let mut rng = Rng::with_seed(seed);
+    let map = match Map::open(file) {
+        Ok(map) => map,
+        Err(error) => return vec![Err(error); 42],
+    };
+    let place = |rng: &mut Rng| Place {
+        position: frame().world_of([0; 3].map(|_| rng.u32(..1 << 22))),
+        normal: rng.bool().then(|| [0; 3].map(|_| rng.f32() - 0.5)),
+    };
+    let located: Vec<_> =
+        (0..6).map(|_| map.locate(&place(&mut rng), Snap::Within(f64::INFINITY))).collect();
+    let mut answers: Answers = located.iter().cloned().map(|l| l.map(|l| (l, None))).collect();
+    for a in &located {
+        answers.extend(located.iter().map(|b| {
+            let (a, b) = (a.clone()?, b.clone()?);
+            map.pair(&a, &b).map(|answer| (a, Some(answer)))
+        }));
+    }
+    answers
+}
+
+fn parts(rng: &mut Rng, given: bool) -> Parts {
+    let shape = if rng.bool() { Shape::Binned } else { Shape::Paper };
+    let profile = if rng.bool() { Profile::Patch } else { Profile::Paper };
+    let cut = Cut { shape, leaf_capacity: 2, max_level: 9, few: 1000 };
+    let tree = grow(&random_points(rng, 60), cut);
+    let links = random_links(rng, &tree, &siblings(&tree), 200);
+    Parts::new(&tree, &links, profile, given)
+}
+
+/// Sets bytes of a section to something else: one bit, one field, or a run of noise.
+fn spoil(rng: &mut Rng, bytes: &mut [u8]) {
+    if bytes.is_empty() {
+        return;
+    }
+    let at = rng.usize(..bytes.len());
+    match rng.u8(..4) {
+        0 => bytes[at] ^= 1 << rng.u8(..8),
+        1 => {
+            let extreme = [0u64, 1, u64::MAX, 1 << 63, 1 << 31, 1 << 22, (1 << 24) - 1];
+            let field = extreme[rng.usize(..extreme.len())].to_le_bytes();
+            let at = at / 4 * 4;
+            let len = (bytes.len() - at).min(if rng.bool() { 4 } else { 8 });
+            bytes[at..at + len].copy_from_slice(&field[..len]);
+        }
+        2 => bytes[at] = rng.u8(..),
+        _ => {
+            let end = (at + rng.usize(..40)).min(bytes.len());
+            bytes[at..end].iter_mut().for_each(|b| *b = rng.u8(..));
+        }
+    }
+}
+
+#[test]
+fn d12_nonsense_under_right_checksums_never_panics() {
+    let mut rng = Rng::with_seed(5);
+    let mut n_refused = 0;
+    for round in 0..6000 {
+        let mut parts = parts(&mut rng, round % 3 == 0);
+        for _ in 0..rng.usize(1..4) {
+            let i = rng.usize(..parts.sections.len());
+            spoil(&mut rng, &mut parts.sections[i].2);
+        }
+        let file = parts.seal();
+        n_refused += u32::from(ask(&file, rng.u64(..)).iter().any(Result::is_err));
+    }
+    assert!(n_refused > 1000, "only {n_refused} of 6000 spoilt files were noticed");
+}
+
+#[test]
+fn d12_a_file_with_a_flipped_bit_answers_as_the_whole_one_or_not_at_all() {
+    let mut rng = Rng::with_seed(6);
+    let file = parts(&mut rng, false).seal();
+    for _ in 0..3000 {
+        let seed = rng.u64(..);
+        let mut flipped = file.clone();
+        flipped[rng.usize(..file.len())] ^= 1 << rng.u8(..8);
+        let answers = ask(&flipped, seed).into_iter().zip(ask(&file, seed));
+        for (found, expected) in answers {
+            assert!(matches!(found, Err(QueryError::Format(_))) || found == expected, "{found:?}");
+        }
+    }
+    for len in (0..file.len()).step_by(97) {
+        assert!(matches!(Map::open(&file[..len]), Err(QueryError::Format(_))));
+    }
+}
+
+#[test]
+fn f47_a_way_up_that_never_ends_is_refused() {
+    let mut rng = Rng::with_seed(7);
+    let cut = Cut { shape: Shape::Paper, leaf_capacity: 0, max_level: 1, few: 1 };
+    let tree = grow(&random_points(&mut rng, 400), cut);
+    let mut chain = tree.clone();
+    // Node i hangs under node i - 1, all the way; every subtree ends at the end.
+    let n = chain.nodes.len() as u32;
+    for id in 1..n {
+        chain.nodes[id as usize].parent = id - 1;
+    }
+    let file = Parts::new(&chain, &[], Profile::Patch, false).seal();
+    assert!(ask(&file, 8).iter().any(Result::is_err));
+}
+
+#[test]
+fn a_map_without_a_profile_is_refused() {
+    let mut rng = Rng::with_seed(9);
+    let mut parts = parts(&mut rng, false);
+    parts.bytes_mut("config").clear();
+    assert!(matches!(Map::open(&parts.seal()), Err(QueryError::Format(_))));
+}

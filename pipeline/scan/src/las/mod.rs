@@ -1,0 +1,170 @@
+//! LAS and LAZ: one header, two ways to store the records.
+
+pub(crate) mod header;
+pub(crate) mod laz;
+pub(crate) mod records;
+mod vlr;
+pub(crate) mod write;
+
+use std::ops::Range;
+
+use pvmap_geometry::PointBatch;
+use pvmap_store::InputFile;
+
+use crate::bytes::BLOCK_BYTES;
+use crate::error::ScanError;
+use crate::source::{
+    ColorRange, Columns, IntensityKind, PartReader, PositionKind, ReadOptions, SourceInfo,
+};
+use header::Header;
+use laz::Laz;
+use records::RecordLayout;
+use vlr::Records;
+
+/// The most bytes that an empty LAZ has for points: a pointer and a chunk table of nothing.
+const EMPTY_LAZ_BYTES: u64 = 64;
+
+/// A checked LAS or LAZ file.
+#[derive(Debug)]
+pub(crate) struct LasFile {
+    points_offset: u64,
+    layout: RecordLayout,
+    laz: Option<Laz>,
+}
+
+impl LasFile {
+    /// Reads and checks everything but the points.
+    pub(crate) fn open(
+        file: &InputFile,
+        options: ReadOptions,
+    ) -> Result<(LasFile, SourceInfo), ScanError> {
+        let mut warnings = Vec::new();
+        let header = Header::read(file, &mut warnings)?;
+        let records = Records::read(file, &header, options.lenient, &mut warnings)?;
+        let layout = RecordLayout::of(&header, records.extra_bytes.as_deref(), &mut warnings);
+        let laz = match (header.is_compressed, header.n_points) {
+            (true, 1..) => {
+                let vlr = records.laszip.as_deref();
+                Some(Laz::open(file, &header, vlr, options.lenient)?)
+            }
+            _ => None,
+        };
+        let n_present = laz
+            .as_ref()
+            .map_or_else(|| header.n_records_fit()..=header.n_records_fit(), Laz::n_points);
+        let n_points = reconcile(file, &header, n_present, options.lenient, &mut warnings)?;
+        let crs = records.into_crs();
+        if crs.as_ref().is_some_and(|c| c.is_geographic()) {
+            warnings.push(
+                "coordinates are degrees: distances along z are on another scale; reproject first"
+                    .to_owned(),
+            );
+        }
+        let (name, (major, minor)) =
+            (if header.is_compressed { "LAZ" } else { "LAS" }, header.version);
+        let info = SourceInfo {
+            path: file.path().to_path_buf(),
+            format: format!("{name} {major}.{minor}, point format {}", header.point_format),
+            n_points,
+            len_bytes: file.len_bytes(),
+            kind: PositionKind::Lattice { scale: header.scale, offset: header.offset },
+            bounds: header.bounds,
+            columns: Columns {
+                color: layout.has_color().then_some(ColorRange::Either),
+                intensity: Some(IntensityKind::U16),
+                classification: true,
+                gps_time: layout.has_gps_time(),
+                normal: layout.has_normal(),
+            },
+            crs,
+            warnings,
+        };
+        Ok((LasFile { points_offset: header.points_offset, layout, laz }, info))
+    }
+
+    /// Gives the record nearest to `record` at which decoding can start for free.
+    pub(crate) fn cut_near(&self, record: u64) -> u64 {
+        self.laz.as_ref().map_or(record, |laz| laz.cut_near(record))
+    }
+
+    /// Reads a range of records of the file this was made from.
+    pub(crate) fn reader<'a>(
+        &'a self,
+        file: &'a InputFile,
+        source: u32,
+        part: Range<u64>,
+        options: ReadOptions,
+    ) -> Result<Box<dyn PartReader + 'a>, ScanError> {
+        match &self.laz {
+            Some(laz) => Ok(Box::new(laz.reader(file, &self.layout, source, part, options))),
+            None => {
+                Ok(Box::new(PlainReader { las: self, file, source, left: part, raw: Vec::new() }))
+            }
+        }
+    }
+}
+
+/// Compares the header's count with what is there (F52, F53).
+fn reconcile(
+    file: &InputFile,
+    header: &Header,
+    n_present: std::ops::RangeInclusive<u64>,
+    is_lenient: bool,
+    warnings: &mut Vec<String>,
+) -> Result<u64, ScanError> {
+    let (declared, least, most) = (header.n_points, *n_present.start(), *n_present.end());
+    if header.is_compressed && declared == 0 {
+        let n_bytes = header.points_end - header.points_offset;
+        if n_bytes > EMPTY_LAZ_BYTES {
+            warnings.push(format!("declares 0 points but holds {n_bytes} compressed bytes"));
+        }
+        return Ok(0);
+    }
+    if declared > most {
+        if !is_lenient {
+            let path = file.path().to_path_buf();
+            return Err(ScanError::Short { path, declared, present: most });
+        }
+        warnings.push(format!("declares {declared} points but holds {most}: reading those"));
+        return Ok(most);
+    }
+    if declared < least {
+        warnings.push(format!(
+            "declares {declared} points but holds {least}: the last {} are not read",
+            least - declared
+        ));
+    }
+    Ok(declared)
+}
+
+/// Reads records that are stored as they are.
+struct PlainReader<'a> {
+    las: &'a LasFile,
+    file: &'a InputFile,
+    source: u32,
+    left: Range<u64>,
+    raw: Vec<u8>,
+}
+
+impl PartReader for PlainReader<'_> {
+    fn next(&mut self, n: usize) -> Result<Option<PointBatch>, ScanError> {
+        if self.left.is_empty() {
+            return Ok(None);
+        }
+        let layout = &self.las.layout;
+        let n = (n as u64).min(self.left.end - self.left.start);
+        let batch_end = self.left.start + n;
+        let mut batch = layout.empty_batch(self.source, n as usize);
+        let block = (BLOCK_BYTES / layout.record_bytes).max(1) as u64;
+        while self.left.start < batch_end {
+            let first = self.left.start;
+            let k = block.min(batch_end - first);
+            self.raw.resize(k as usize * layout.record_bytes, 0);
+            let at = self.las.points_offset + first * layout.record_bytes as u64;
+            self.file.read_exact_at(&mut self.raw, at)?;
+            layout.append(&self.raw, first, &mut batch);
+            self.left.start += k;
+        }
+        Ok(Some(batch))
+    }
+}

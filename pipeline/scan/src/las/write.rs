@@ -1,0 +1,304 @@
+//! LAS and LAZ out: version 1.4, point format 7, through the `las` crate.
+
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use las::point::Format;
+use las::{Builder, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
+use pvmap_geometry::{Intensity, PointBatch, Positions};
+use pvmap_store::{AtomicFile, StoreError};
+
+use crate::error::ScanError;
+
+/// The point format written: place, intensity, class, gps time and colour.
+const POINT_FORMAT: u8 = 7;
+
+/// Bytes of a record of that format, and of the normal behind it.
+const RECORD_BYTES: usize = 36;
+const NORMAL_BYTES: u16 = 12;
+
+/// Where the header has its bounds: max and min, an axis at a time.
+const BOUNDS_OFFSET: u64 = 179;
+
+/// The `las` crate works through a batch three times; a few thousand records stay in the cache.
+const BLOCK_POINTS: usize = 4096;
+
+/// How to write a LAS file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LasOptions {
+    /// LAZ instead of LAS.
+    pub compressed: bool,
+    /// World units per lattice step.
+    pub scale: [f64; 3],
+    /// World coordinate of lattice step 0.
+    pub offset: [f64; 3],
+    /// Whether each point carries a normal: three f32 extra bytes named nx, ny, nz.
+    pub normals: bool,
+}
+
+/// Writes points to a LAS or LAZ file that appears under its name when it is whole.
+///
+/// Bounds and counts in the header are those of the points; no date, so the same points give the
+/// same bytes.
+pub struct LasWriter {
+    writer: Writer<Sink>,
+    options: LasOptions,
+    format: Format,
+    transforms: Vector<Transform>,
+    /// The least and the greatest step along each axis.
+    min: [i32; 3],
+    max: [i32; 3],
+    failure: Failure,
+    path: PathBuf,
+}
+
+impl LasWriter {
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// Where it cannot be created, or scale and offset make no lattice.
+    pub fn create(path: &Path, options: LasOptions) -> Result<LasWriter, ScanError> {
+        let fail = |e: las::Error| write_error(path, e.to_string());
+        let is_sound = options.scale.iter().all(|s| s.is_normal() && *s > 0.0)
+            && options.offset.iter().all(|o| o.is_finite());
+        if !is_sound {
+            return Err(write_error(path, "scale must be > 0 and offset finite".to_owned()));
+        }
+        let mut format = Format::new(POINT_FORMAT).map_err(fail)?;
+        format.is_compressed = options.compressed;
+        let mut builder = Builder::default();
+        builder.version = Version::new(1, 4);
+        builder.generating_software = "pvmap".to_owned();
+        builder.transforms = transforms(&options);
+        if options.normals {
+            format.extra_bytes = NORMAL_BYTES;
+            builder.vlrs.push(normal_descriptors());
+        }
+        builder.point_format = format;
+        let header = builder.into_header().map_err(fail)?;
+        let failure = Failure::default();
+        let out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+        let sink = Sink { out, failure: failure.clone() };
+        let writer = Writer::new(sink, header).map_err(fail)?;
+        let transforms = transforms(&options);
+        Ok(LasWriter {
+            writer,
+            options,
+            format,
+            transforms,
+            min: [i32::MAX; 3],
+            max: [i32::MIN; 3],
+            failure,
+            path: path.to_path_buf(),
+        })
+    }
+
+    /// Appends a batch: places (a lattice batch as it is), colour, intensity, class, gps time and,
+    /// if asked for, normals; what the batch lacks is 0.
+    ///
+    /// # Errors
+    /// Where a coordinate does not fit the lattice, or the disk fails.
+    pub fn write(&mut self, batch: &PointBatch) -> Result<(), ScanError> {
+        for start in (0..batch.len()).step_by(BLOCK_POINTS) {
+            let block = start..batch.len().min(start + BLOCK_POINTS);
+            let mut raw = Vec::with_capacity(block.len() * usize::from(self.format.len()));
+            for i in block {
+                self.encode(batch, i, &mut raw)?;
+            }
+            let points = PointDataBuilder::new()
+                .with_format(self.format)
+                .with_transforms(self.transforms)
+                .build_from_bytes(raw)
+                .map_err(|e| write_error(&self.path, e.to_string()))?;
+            self.writer
+                .write_points(&points)
+                .map_err(|e| write_error(&self.path, e.to_string()))?;
+        }
+        self.failure.check(&self.path)
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// Where the disk fails; then nothing is left behind.
+    pub fn finish(self) -> Result<(), ScanError> {
+        let bounds = self.bounds();
+        let fail = |problem: String| write_error(&self.path, problem);
+        let sink = self.writer.into_inner().map_err(|e| fail(e.to_string()))?;
+        self.failure.check(&self.path)?;
+        let file = sink
+            .out
+            .into_inner()
+            .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
+        file.write_at(&bounds, BOUNDS_OFFSET)?;
+        Ok(file.commit()?)
+    }
+
+    /// Encodes the bounds of the points for the header. The crate's own may be a step too wide: it
+    /// goes through world units and rounds outward.
+    fn bounds(&self) -> Vec<u8> {
+        let LasOptions { scale, offset, .. } = self.options;
+        let is_empty = self.min[0] > self.max[0];
+        let world = |i: usize, step: i32| {
+            if is_empty { 0.0 } else { f64::from(step) * scale[i] + offset[i] }
+        };
+        (0..3)
+            .flat_map(|i| [world(i, self.max[i]), world(i, self.min[i])])
+            .flat_map(f64::to_le_bytes)
+            .collect()
+    }
+
+    /// Appends the record of point `i`.
+    fn encode(&mut self, batch: &PointBatch, i: usize, raw: &mut Vec<u8>) -> Result<(), ScanError> {
+        let place = self.place(batch, i)?;
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(place[axis]);
+            self.max[axis] = self.max[axis].max(place[axis]);
+        }
+        let mut record = [0; RECORD_BYTES];
+        for (slot, step) in record[..12].chunks_exact_mut(4).zip(place) {
+            slot.copy_from_slice(&step.to_le_bytes());
+        }
+        let intensity = match &batch.intensity {
+            Some(Intensity::U16(v)) => v[i],
+            // `as` keeps the ends and turns NaN into 0.
+            Some(Intensity::F32(v)) => v[i].round() as u16,
+            None => 0,
+        };
+        record[12..14].copy_from_slice(&intensity.to_le_bytes());
+        // The only return of its pulse.
+        record[14] = 0x11;
+        record[16] = batch.classification.as_ref().map_or(0, |v| v[i]);
+        let gps_time = batch.gps_time.as_ref().map_or(0.0, |v| v[i]);
+        record[22..30].copy_from_slice(&gps_time.to_le_bytes());
+        let color = batch.color.as_ref().map_or([0; 3], |v| v[i]);
+        for (slot, channel) in record[30..36].chunks_exact_mut(2).zip(color) {
+            slot.copy_from_slice(&channel.to_le_bytes());
+        }
+        raw.extend_from_slice(&record);
+        if self.options.normals {
+            let normal = batch.normal.as_ref().map_or([0.0; 3], |v| v[i]);
+            for component in normal {
+                raw.extend_from_slice(&component.to_le_bytes());
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives the lattice step of point `i`.
+    fn place(&self, batch: &PointBatch, i: usize) -> Result<[i32; 3], ScanError> {
+        let world = match &batch.positions {
+            Positions::Lattice(v) => return Ok(v[i]),
+            Positions::Single(v) => v[i].map(f64::from),
+            Positions::Double(v) => v[i],
+        };
+        let mut place = [0; 3];
+        for axis in 0..3 {
+            let step =
+                ((world[axis] - self.options.offset[axis]) / self.options.scale[axis]).round();
+            if !(step >= f64::from(i32::MIN) && step <= f64::from(i32::MAX)) {
+                return Err(write_error(
+                    &self.path,
+                    format!(
+                        "{} of point {} does not fit the lattice; choose another offset or a \
+                         larger scale",
+                        world[axis], batch.records[i]
+                    ),
+                ));
+            }
+            place[axis] = step as i32;
+        }
+        Ok(place)
+    }
+}
+
+fn transforms(options: &LasOptions) -> Vector<Transform> {
+    let [x, y, z] =
+        [0, 1, 2].map(|i| Transform { scale: options.scale[i], offset: options.offset[i] });
+    Vector { x, y, z }
+}
+
+fn write_error(path: &Path, problem: String) -> ScanError {
+    ScanError::Write { path: path.to_path_buf(), problem }
+}
+
+/// Describes the extra bytes nx, ny, nz: type 9 (f32), no options.
+fn normal_descriptors() -> Vlr {
+    let mut data = Vec::new();
+    for name in [b"nx", b"ny", b"nz"] {
+        let mut descriptor = [0; 192];
+        descriptor[2] = 9;
+        descriptor[4..6].copy_from_slice(name);
+        data.extend_from_slice(&descriptor);
+    }
+    Vlr {
+        user_id: "LASF_Spec".to_owned(),
+        record_id: 4,
+        description: "extra bytes".to_owned(),
+        data,
+    }
+}
+
+/// The first failure of the disk, shared with whoever has to report it.
+#[derive(Debug, Clone, Default)]
+struct Failure(Arc<Mutex<Option<io::Error>>>);
+
+impl Failure {
+    /// Turns the failure, if there was one, into an error; what comes after it counts for nothing.
+    fn check(&self, path: &Path) -> Result<(), ScanError> {
+        let failure = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        match failure.as_ref() {
+            Some(e) => Err(StoreError::io(path, "write", e.kind().into()).into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Says whether there was one.
+    fn is_set(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    /// Keeps a failure and gives `value` instead.
+    fn swallow<T>(&self, result: io::Result<T>, value: T) -> io::Result<T> {
+        Ok(result.unwrap_or_else(|e| {
+            *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
+            value
+        }))
+    }
+}
+
+/// Where the `las` crate writes to. Its writer completes the file even when dropped, and panics if
+/// that fails: so a failure is remembered here, and everything after it goes nowhere.
+struct Sink {
+    out: BufWriter<AtomicFile>,
+    failure: Failure,
+}
+
+impl Write for Sink {
+    fn write(&mut self, buf: &[u8]) -> io::Result<usize> {
+        if self.failure.is_set() {
+            return Ok(buf.len());
+        }
+        let result = self.out.write(buf);
+        self.failure.swallow(result, buf.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.failure.is_set() {
+            return Ok(());
+        }
+        let result = self.out.flush();
+        self.failure.swallow(result, ())
+    }
+}
+
+impl Seek for Sink {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        if self.failure.is_set() {
+            return Ok(0);
+        }
+        let result = self.out.seek(to);
+        self.failure.swallow(result, 0)
+    }
+}

@@ -1,0 +1,164 @@
+//! PLY out: binary little-endian vertices.
+
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use ply_rs::ply::{
+    Addable, DefaultElement, ElementDef, Encoding, Header, PropertyDef, PropertyType, ScalarType,
+};
+use pvmap_geometry::{Intensity, PointBatch, Positions};
+use pvmap_store::{AtomicFile, StoreError};
+
+use crate::error::ScanError;
+use crate::source::ColorRange;
+
+/// Which columns to write, beside x, y and z.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PlyColumns {
+    /// Coordinates as `double` instead of `float`.
+    pub double: bool,
+    /// nx, ny, nz as `float`.
+    pub normal: bool,
+    /// red, green, blue: `uchar` for [`ColorRange::Eight`], else `ushort`.
+    pub color: Option<ColorRange>,
+    /// intensity as `float`.
+    pub intensity: bool,
+    /// classification as `uchar`.
+    pub classification: bool,
+    /// gps_time as `double`.
+    pub gps_time: bool,
+}
+
+/// Writes points to a binary PLY file that appears under its name when it is whole.
+pub struct PlyWriter {
+    out: BufWriter<AtomicFile>,
+    columns: PlyColumns,
+    n_declared: u64,
+    n_written: u64,
+    path: PathBuf,
+}
+
+impl PlyWriter {
+    /// Starts a file of exactly `n_points` points.
+    ///
+    /// # Errors
+    /// Where it cannot be created.
+    pub fn create(path: &Path, n_points: u64, columns: PlyColumns) -> Result<PlyWriter, ScanError> {
+        let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+        let header = header(n_points as usize, columns);
+        ply_rs::writer::Writer::<DefaultElement>::new()
+            .write_header(&mut out, &header)
+            .map_err(|e| StoreError::io(path, "write", io::Error::other(e)))?;
+        let path = path.to_path_buf();
+        Ok(PlyWriter { out, columns, n_declared: n_points, n_written: 0, path })
+    }
+
+    /// Appends a batch; columns that it lacks are 0. Lattice positions are written as their steps.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn write(&mut self, batch: &PointBatch) -> Result<(), ScanError> {
+        let mut row = Vec::new();
+        for i in 0..batch.len() {
+            row.clear();
+            self.encode(batch, i, &mut row);
+            self.out.write_all(&row).map_err(|e| StoreError::io(&self.path, "write", e))?;
+        }
+        self.n_written += batch.len() as u64;
+        Ok(())
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// Where more or fewer points were written than declared, or the disk fails.
+    pub fn finish(self) -> Result<(), ScanError> {
+        if self.n_written != self.n_declared {
+            let problem = format!("{} points of {} given", self.n_written, self.n_declared);
+            return Err(ScanError::Write { path: self.path, problem });
+        }
+        let file = self
+            .out
+            .into_inner()
+            .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
+        Ok(file.commit()?)
+    }
+
+    /// Appends the row of point `i`.
+    fn encode(&self, batch: &PointBatch, i: usize, row: &mut Vec<u8>) {
+        let columns = self.columns;
+        let place = match &batch.positions {
+            Positions::Lattice(v) => v[i].map(f64::from),
+            Positions::Single(v) => v[i].map(f64::from),
+            Positions::Double(v) => v[i],
+        };
+        for c in place {
+            if columns.double {
+                row.extend_from_slice(&c.to_le_bytes());
+            } else {
+                row.extend_from_slice(&(c as f32).to_le_bytes());
+            }
+        }
+        if columns.normal {
+            let normal = batch.normal.as_ref().map_or([0.0; 3], |v| v[i]);
+            normal.iter().for_each(|c| row.extend_from_slice(&c.to_le_bytes()));
+        }
+        if let Some(range) = columns.color {
+            let color = batch.color.as_ref().map_or([0; 3], |v| v[i]);
+            for c in color {
+                match range {
+                    ColorRange::Eight => row.push(c.min(255) as u8),
+                    _ => row.extend_from_slice(&c.to_le_bytes()),
+                }
+            }
+        }
+        if columns.intensity {
+            let intensity = match &batch.intensity {
+                Some(Intensity::U16(v)) => f32::from(v[i]),
+                Some(Intensity::F32(v)) => v[i],
+                None => 0.0,
+            };
+            row.extend_from_slice(&intensity.to_le_bytes());
+        }
+        if columns.classification {
+            row.push(batch.classification.as_ref().map_or(0, |v| v[i]));
+        }
+        if columns.gps_time {
+            let time = batch.gps_time.as_ref().map_or(0.0, |v| v[i]);
+            row.extend_from_slice(&time.to_le_bytes());
+        }
+    }
+}
+
+/// Describes the columns.
+fn header(n_points: usize, columns: PlyColumns) -> Header {
+    let mut vertex = ElementDef::new("vertex".to_owned());
+    vertex.count = n_points;
+    let mut add = |names: &[&str], kind: ScalarType| {
+        for name in names {
+            let kind = PropertyType::Scalar(kind.clone());
+            vertex.properties.add(PropertyDef::new((*name).to_owned(), kind));
+        }
+    };
+    add(&["x", "y", "z"], if columns.double { ScalarType::Double } else { ScalarType::Float });
+    if columns.normal {
+        add(&["nx", "ny", "nz"], ScalarType::Float);
+    }
+    if let Some(range) = columns.color {
+        let kind = if range == ColorRange::Eight { ScalarType::UChar } else { ScalarType::UShort };
+        add(&["red", "green", "blue"], kind);
+    }
+    if columns.intensity {
+        add(&["intensity"], ScalarType::Float);
+    }
+    if columns.classification {
+        add(&["classification"], ScalarType::UChar);
+    }
+    if columns.gps_time {
+        add(&["gps_time"], ScalarType::Double);
+    }
+    let mut header = Header::new();
+    header.encoding = Encoding::BinaryLittleEndian;
+    header.elements.add(vertex);
+    header
+}

@@ -1,0 +1,82 @@
+//! From an octree to its visibility map: joins the cut of `octree` to `visibility`.
+
+use std::path::Path;
+
+use pvmap_octree::cut::{CutOptions, cut};
+use pvmap_store::{Mapped, Watch};
+use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
+use pvmap_vmap::octree::FILE_NAME;
+use pvmap_vmap::{FormatError, OctreeView};
+
+use crate::{BuildConfig, Error, Limits};
+
+/// What a build did.
+#[derive(Debug, Clone)]
+pub struct Built {
+    /// Counts and sizes.
+    pub report: BuildReport,
+    /// Leaf pairs in all, each once: N·(N-1)/2.
+    pub n_leaf_pairs: u128,
+}
+
+/// Maps the points of an octree folder.
+///
+/// # Errors
+/// Where the folder or the file in it cannot be opened.
+pub fn open_octree(path: &Path) -> Result<Mapped, Error> {
+    Ok(Mapped::open(&path.join(FILE_NAME))?)
+}
+
+/// Cuts an octree as the configuration says and makes its visibility map.
+///
+/// # Errors
+/// Where the octree is damaged, the interaction list breaks a rule, the budget is too small, the
+/// disk fails or the run is asked to stop; a map that was there before is then still there.
+pub fn build(
+    octree: &Path,
+    output: &Path,
+    config: &BuildConfig,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<Built, Error> {
+    let file = open_octree(octree)?;
+    let points = octree.join(FILE_NAME);
+    let view = OctreeView::open(&file).map_err(|e| Error::artifact(&points, e))?;
+    let named = |e: Error| match e {
+        Error::Octree(pvmap_octree::OctreeError::Format(e)) => Error::artifact(&points, e),
+        e => e,
+    };
+    limits.run(|| run(&view, output, config, limits, watch))?.map_err(named)
+}
+
+fn run(
+    view: &OctreeView<'_>,
+    output: &Path,
+    config: &BuildConfig,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<Built, Error> {
+    let memory_bytes = limits.memory_bytes;
+    let cut_options = CutOptions {
+        max_level: config.max_level,
+        leaf_capacity: config.leaf_capacity,
+        shape: config.tree,
+        profile: config.profile,
+    };
+    let tree = cut(view, &cut_options, memory_bytes / 2, watch)?;
+    let options = BuildOptions {
+        max_level: config.max_level,
+        leaf_capacity: config.leaf_capacity,
+        shape: config.tree,
+        profile: config.profile,
+        interaction: config.interaction.clone(),
+        memory_bytes,
+        output: output.to_path_buf(),
+    };
+    let (_, crs) = view.crs().map_err(|e: FormatError| Error::Octree(e.into()))?;
+    let digest = view.summary().digest;
+    let input = MapInput { tree: &tree, frame: view.frame(), crs, digest };
+    let report = pvmap_visibility::build(&input, &options, watch)?;
+    let n = u128::from(report.summary.n_surfels);
+    Ok(Built { report, n_leaf_pairs: n * n.saturating_sub(1) / 2 })
+}

@@ -1,0 +1,137 @@
+//! `pvmap build`: an octree to its visibility map.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use pvmap::config::{RawConfig, RawProfile, RawTree};
+use pvmap::{Built, Error};
+
+use super::{Context, Outcome, mib};
+use crate::progress::si;
+
+/// Cut an octree into surfels and make its visibility map.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  pvmap build                                   the only *.octree here, depth 8
+  pvmap build grotto.octree --config paper      as in the paper
+  pvmap build --config depth8 --max-level 9 -o fine.vmap
+
+Configurations are TOML files, or one of the presets depth8, paper and preview. Flags override
+the file.")]
+pub(super) struct Args {
+    /// The octree; without it the only *.octree in the current directory.
+    octree: Option<PathBuf>,
+    /// A TOML file, or a preset.
+    #[arg(long, default_value = "depth8", value_name = "FILE|PRESET")]
+    config: PathBuf,
+    /// The map to make; default: the octree's name with .vmap, in the current directory.
+    #[arg(short, long, value_name = "NAME.vmap")]
+    output: Option<PathBuf>,
+    /// Deepest level of a cell, 1 to 21.
+    #[arg(long, value_name = "L")]
+    max_level: Option<u8>,
+    /// Most points of a leaf above the deepest level; 0 makes a full tree.
+    #[arg(long, value_name = "N")]
+    leaf_capacity: Option<u64>,
+    /// Which tree.
+    #[arg(long, value_enum)]
+    tree: Option<RawTree>,
+    /// How surfels block.
+    #[arg(long, value_enum)]
+    profile: Option<RawProfile>,
+    /// Threads; 0 takes all.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Most memory to hold.
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<String>,
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    let flags = RawConfig {
+        max_level: args.max_level,
+        leaf_capacity: args.leaf_capacity,
+        tree: args.tree,
+        profile: args.profile,
+        threads: args.threads,
+        memory: args.memory.clone(),
+        interaction: None,
+    };
+    let (config, limits) = flags.over(RawConfig::find(&args.config)?).check()?;
+    let octree = match &args.octree {
+        Some(octree) => octree.clone(),
+        None => only_octree(Path::new("."))?,
+    };
+    let output = match &args.output {
+        Some(output) => output.clone(),
+        None => default_output(&octree),
+    };
+    let built = pvmap::build(&octree, &output, &config, &limits, &context.progress)?;
+    print(&output, &built, context)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Finds the octree of a folder that holds exactly one.
+fn only_octree(folder: &Path) -> Result<PathBuf, Error> {
+    let listed = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<PathBuf> = listed
+        .map(|entry| PathBuf::from(entry.file_name()))
+        .filter(|name| name.extension().is_some_and(|e| e == "octree"))
+        .collect();
+    found.sort();
+    match found.as_slice() {
+        [one] => Ok(one.clone()),
+        [] => Err(Error::Usage(
+            "no *.octree here; name one, or make one with pvmap ingest".to_owned(),
+        )),
+        several => {
+            let names: Vec<_> = several.iter().map(|p| p.display().to_string()).collect();
+            Err(Error::Usage(format!("several octrees here, name one: {}", names.join(", "))))
+        }
+    }
+}
+
+fn default_output(octree: &Path) -> PathBuf {
+    PathBuf::from(octree.file_name().unwrap_or(octree.as_os_str())).with_extension("vmap")
+}
+
+fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()> {
+    let s = &built.report.summary;
+    let stages = context.progress.take_stages();
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", output.display())?;
+    writeln!(out, "  surfels   {} for {} points, {} nodes", s.n_surfels, s.n_points, s.n_nodes)?;
+    let pairs = built.n_leaf_pairs;
+    let share = |n: u128| 100.0 * n as f64 / (pairs as f64).max(1.0);
+    writeln!(out, "  pairs     {pairs}, {:.1} % see each other", share(s.n_visible_pairs))?;
+    let fewer = fewer_links(s.n_links, s.n_surfels);
+    writeln!(
+        out,
+        "  links     {}, {fewer:.2} % fewer than N² = {}",
+        s.n_links,
+        square(s.n_surfels)
+    )?;
+    let a_link = built.report.link_bytes as f64 / (s.n_links as f64).max(1.0);
+    writeln!(out, "  disk      {}, {a_link:.2} bytes a link", mib(built.report.output_bytes))?;
+    let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
+    let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
+    let rate = pairs as f64 / seconds.max(1e-9);
+    writeln!(
+        out,
+        "  time      {seconds:.2} s, {}pairs/s, at most {} of memory",
+        si(rate),
+        mib(peak)
+    )
+}
+
+/// Gives N², which counts each pair of surfels twice, as the paper does.
+pub(super) fn square(n_surfels: u32) -> u64 {
+    u64::from(n_surfels) * u64::from(n_surfels)
+}
+
+/// Gives by how many per cent there are fewer links than N², both counted twice.
+pub(super) fn fewer_links(n_links: u64, n_surfels: u32) -> f64 {
+    100.0 * (1.0 - 2.0 * n_links as f64 / (square(n_surfels) as f64).max(1.0))
+}

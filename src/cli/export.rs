@@ -1,0 +1,110 @@
+//! `pvmap export`: the content of a map as tables.
+
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use pvmap::vmap::tree::Nodes;
+use pvmap::vmap::{FormatError, MapView};
+use pvmap::{AtomicFile, Error, StoreError};
+
+use super::{Outcome, map_file};
+
+/// Write surfels, nodes and links of a map as CSV, in grid steps and ids.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv")]
+pub(super) struct Args {
+    /// The map.
+    map: PathBuf,
+    /// A row a surfel: centroid, normal, squared radius, cell, patch box.
+    #[arg(long, value_name = "S.csv")]
+    surfels: Option<PathBuf>,
+    /// A row a node: parent, level, bin, surfel.
+    #[arg(long, value_name = "N.csv")]
+    nodes: Option<PathBuf>,
+    /// A row a link: its two nodes.
+    #[arg(long, value_name = "L.csv")]
+    links: Option<PathBuf>,
+}
+
+const SURFEL_HEADER: &str = "surfel,cx,cy,cz,nx,ny,nz,r2,cell_x,cell_y,cell_z,cell_level,\
+min_x,min_y,min_z,max_x,max_y,max_z,n_points,two_sided";
+
+pub(super) fn run(args: &Args) -> Outcome {
+    if args.surfels.is_none() && args.nodes.is_none() && args.links.is_none() {
+        let message = "nothing to write: give --surfels, --nodes or --links".to_owned();
+        return Err(Error::Usage(message).into());
+    }
+    let (path, bytes) = map_file(&args.map)?;
+    let named = |e: FormatError| Error::artifact(&path, e);
+    let view = MapView::open(&bytes).map_err(named)?;
+    if let Some(output) = &args.surfels {
+        write(output, SURFEL_HEADER, |out| surfels(&view, &path, out))?;
+    }
+    if let Some(output) = &args.nodes {
+        write(output, "node,parent,level,bin,surfel", |out| nodes(&view, &path, out))?;
+    }
+    if let Some(output) = &args.links {
+        write(output, "node_a,node_b", |out| links(&view, &path, out))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+type Out = BufWriter<AtomicFile>;
+
+/// Writes a table that appears whole or not at all.
+fn write(
+    path: &Path,
+    header: &str,
+    rows: impl FnOnce(&mut Out) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let fail = |e| Error::Store(StoreError::io(path, "write", e));
+    let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+    writeln!(out, "{header}").map_err(fail)?;
+    rows(&mut out)?;
+    let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
+    Ok(file.commit()?)
+}
+
+fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+    for id in 0..view.summary().n_surfels {
+        let s = view.surfel(id).map_err(|e| Error::artifact(path, e))?;
+        let [cx, cy, cz] = s.centroid;
+        let [nx, ny, nz] = s.normal;
+        let [x, y, z] = s.cell().min;
+        let ([x0, y0, z0], [x1, y1, z1]) = (s.patch.min, s.patch.max);
+        writeln!(
+            out,
+            "{id},{cx},{cy},{cz},{nx},{ny},{nz},{},{x},{y},{z},{},{x0},{y0},{z0},{x1},{y1},{z1},{},{}",
+            s.radius2,
+            s.level,
+            s.n_points,
+            u8::from(s.two_sided)
+        )
+        .map_err(|e| StoreError::io(path, "write a table of", e))?;
+    }
+    Ok(())
+}
+
+fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+    for id in 0..view.summary().n_nodes {
+        let node = view.node(id).map_err(|e| Error::artifact(path, e))?;
+        let parent = if id == 0 { -1 } else { i64::from(node.parent) };
+        let surfel = if node.is_leaf() { i64::from(node.first_surfel) } else { -1 };
+        writeln!(out, "{id},{parent},{},{},{surfel}", node.level, node.bin)
+            .map_err(|e| StoreError::io(path, "write a table of", e))?;
+    }
+    Ok(())
+}
+
+fn links(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+    for block in 0..view.n_link_blocks() {
+        let lists = view.link_lists(block).map_err(|e| Error::artifact(path, e))?;
+        for (a, b) in lists.iter() {
+            writeln!(out, "{a},{b}").map_err(|e| StoreError::io(path, "write a table of", e))?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,149 @@
+//! `pvmap ingest`: scan files to an octree.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use pvmap::scan::ReadOptions;
+use pvmap::{Error, IngestRequest, Ingested, Limits, NormalsFrom, Orientation, Watch, memory};
+
+use super::{Context, Outcome, mib, parse_point};
+use crate::progress::si;
+
+/// Stream scan files into a sorted octree on disk.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  pvmap ingest grotto.las                            makes grotto.octree here
+  pvmap ingest a.las b.laz -o site.octree            several scans, one octree
+  pvmap ingest room.laz --sensor 0,0,1.77            normals toward the scanner
+  pvmap ingest tile.laz --up --memory 512MiB         an airborne tile, in half a gigabyte")]
+pub(super) struct Args {
+    /// LAS, LAZ or PLY files.
+    #[arg(required = true, value_name = "SCAN")]
+    inputs: Vec<PathBuf>,
+    /// The octree to make; several inputs need it.
+    #[arg(short, long, value_name = "NAME.octree")]
+    output: Option<PathBuf>,
+    /// Replace an octree of that name.
+    #[arg(long)]
+    overwrite: bool,
+    /// Most memory to hold.
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
+    /// Threads; 0 takes all.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
+    /// Where normals come from.
+    #[arg(long, value_enum, default_value = "auto", value_name = "FROM")]
+    normals: Normals,
+    /// Where the scanner stood, world units; may be given several times.
+    #[arg(long, value_parser = parse_point, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    sensor: Vec<[f64; 3]>,
+    /// Estimated normals point up (airborne and terrain scans).
+    #[arg(long, conflicts_with = "sensor")]
+    up: bool,
+    /// Drop and count points whose coordinates are not finite.
+    #[arg(long)]
+    skip_invalid: bool,
+    /// Read what is there of a file that was cut short.
+    #[arg(long)]
+    lenient: bool,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Normals {
+    /// The file's where it has them, else estimated.
+    Auto,
+    /// The file's alone.
+    File,
+    /// Estimated, whatever the file has.
+    Estimate,
+    /// None at all.
+    None,
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    let output = output(args)?;
+    if pvmap::is_input(&output, &args.inputs)? {
+        let message = format!("{}: the output is one of the inputs", output.display());
+        return Err(Error::Usage(message).into());
+    }
+    let request = IngestRequest {
+        inputs: args.inputs.clone(),
+        output,
+        overwrite: args.overwrite,
+        read: ReadOptions { skip_invalid: args.skip_invalid, lenient: args.lenient },
+        normals: match args.normals {
+            Normals::Auto => NormalsFrom::Auto,
+            Normals::File => NormalsFrom::File,
+            Normals::Estimate => NormalsFrom::Estimate,
+            Normals::None => NormalsFrom::None,
+        },
+        orientation: match (args.up, args.sensor.is_empty()) {
+            (true, _) => Orientation::Up,
+            (false, false) => Orientation::Sensors(args.sensor.clone()),
+            (false, true) => Orientation::Unknown,
+        },
+    };
+    let limits = Limits { threads: args.threads, memory_bytes: args.memory };
+    if let Some(free) = memory::free_disk_bytes(&request.output) {
+        let size: u64 = args.inputs.iter().filter_map(|p| p.metadata().ok()).map(|m| m.len()).sum();
+        if size > free / 4 {
+            context.progress.warn(&format!("{} of disk are left", mib(free)));
+        }
+    }
+    let done = pvmap::ingest(&request, &limits, &context.progress)?;
+    print(&request, &done, context)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn output(args: &Args) -> Result<PathBuf, Error> {
+    match (&args.output, args.inputs.as_slice()) {
+        (Some(output), _) => Ok(output.clone()),
+        (None, [input]) => Ok(pvmap::default_octree(input)),
+        (None, _) => Err(Error::Usage(
+            "several scans need a name for their octree: add -o NAME.octree".to_owned(),
+        )),
+    }
+}
+
+fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io::Result<()> {
+    let s = &done.report.summary;
+    let stages = context.progress.take_stages();
+    let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
+    let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", request.output.display())?;
+    writeln!(
+        out,
+        "  records   {} read = {} stored + {} not finite",
+        s.n_read, s.n_points, s.n_invalid
+    )?;
+    writeln!(
+        out,
+        "  normals   {} from the file, {} estimated, {} none; {} with a known side",
+        s.n_normals_file,
+        s.n_normals_estimated,
+        s.n_points - s.n_normals_file - s.n_normals_estimated,
+        s.n_oriented
+    )?;
+    writeln!(
+        out,
+        "  disk      {} and {} temporary{}",
+        mib(done.report.output_bytes),
+        mib(done.report.temporary_bytes),
+        if done.report.bounds_were_true {
+            ""
+        } else {
+            " (the headers' bounds were not the true ones)"
+        }
+    )?;
+    let rate = s.n_points as f64 / seconds.max(1e-9);
+    writeln!(
+        out,
+        "  time      {seconds:.2} s, {}points/s, at most {} of memory",
+        si(rate),
+        mib(peak)
+    )
+}

@@ -1,0 +1,233 @@
+//! The configuration of a build: TOML files, presets that ship with the command, checked values.
+
+use std::path::{Path, PathBuf};
+
+use pvmap_geometry::disc::Profile;
+use pvmap_vmap::Shape;
+use serde::Deserialize;
+
+use crate::Error;
+use crate::limits::{Limits, parse_memory};
+
+/// The presets of `configs/`, embedded.
+pub const PRESETS: [(&str, &str); 3] = [
+    ("depth8", include_str!("../../configs/depth8.toml")),
+    ("paper", include_str!("../../configs/paper.toml")),
+    ("preview", include_str!("../../configs/preview.toml")),
+];
+
+/// What decides the content of a map.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BuildConfig {
+    /// Deepest level of a cell, 1…21.
+    pub max_level: u8,
+    /// Most points of a leaf above the deepest level; 0 makes a full tree.
+    pub leaf_capacity: u64,
+    /// Which tree.
+    pub tree: Shape,
+    /// How discs block.
+    pub profile: Profile,
+    /// Pairs of node ids to start from instead of all siblings. [V-5]
+    pub interaction: Option<Vec<(u32, u32)>>,
+}
+
+impl Default for BuildConfig {
+    fn default() -> BuildConfig {
+        BuildConfig {
+            max_level: 8,
+            leaf_capacity: 50,
+            tree: Shape::Binned,
+            profile: Profile::Patch,
+            interaction: None,
+        }
+    }
+}
+
+/// A configuration file as it is written; every key may be missing.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawConfig {
+    /// `max_level`, 1…21.
+    pub max_level: Option<u8>,
+    /// `leaf_capacity`, points.
+    pub leaf_capacity: Option<u64>,
+    /// `tree`.
+    pub tree: Option<RawTree>,
+    /// `profile`.
+    pub profile: Option<RawProfile>,
+    /// `threads`, 0 for all.
+    pub threads: Option<usize>,
+    /// `memory`, such as "1GiB".
+    pub memory: Option<String>,
+    /// `[interaction]`.
+    pub interaction: Option<RawInteraction>,
+}
+
+/// `tree = "binned" | "paper"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum RawTree {
+    /// One octree a normal bin, leaves split by normal quadrants.
+    Binned,
+    /// The plain adaptive octree of the paper.
+    Paper,
+}
+
+/// `profile = "patch" | "paper"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum RawProfile {
+    /// Discs cut to their points' box, transparent near their own ends.
+    Patch,
+    /// Discs wherever the segment meets their cell.
+    Paper,
+}
+
+/// The table `[interaction]`.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawInteraction {
+    /// A CSV file with columns node_a,node_b; relative to the configuration file.
+    pub list: Option<PathBuf>,
+}
+
+impl RawConfig {
+    /// Finds a configuration: a file if there is one of that name, else a preset.
+    ///
+    /// # Errors
+    /// Where neither is there, the file cannot be read, or a key is unknown or has a bad value.
+    pub fn find(name: &Path) -> Result<RawConfig, Error> {
+        if name.exists() {
+            let text = std::fs::read_to_string(name)
+                .map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
+            let mut raw = parse(&name.display().to_string(), &text)?;
+            let list = raw.interaction.as_mut().and_then(|i| i.list.as_mut());
+            if let (Some(list), Some(folder)) = (list, name.parent()) {
+                *list = folder.join(&*list);
+            }
+            return Ok(raw);
+        }
+        let wanted = name.to_string_lossy();
+        let wanted = wanted.strip_suffix(".toml").unwrap_or(&wanted);
+        match PRESETS.into_iter().find(|p| p.0 == wanted) {
+            Some((preset, text)) => parse(preset, text),
+            None => {
+                let known = PRESETS.map(|p| p.0).join(", ");
+                Err(Error::Config(format!(
+                    "{}: no such configuration; give a TOML file or one of: {known}",
+                    name.display()
+                )))
+            }
+        }
+    }
+
+    /// Takes what is set here, else what is set in `below`.
+    pub fn over(self, below: RawConfig) -> RawConfig {
+        RawConfig {
+            max_level: self.max_level.or(below.max_level),
+            leaf_capacity: self.leaf_capacity.or(below.leaf_capacity),
+            tree: self.tree.or(below.tree),
+            profile: self.profile.or(below.profile),
+            threads: self.threads.or(below.threads),
+            memory: self.memory.or(below.memory),
+            interaction: self.interaction.or(below.interaction),
+        }
+    }
+
+    /// Checks every value and reads the interaction list.
+    ///
+    /// # Errors
+    /// Where a value is out of range or the list cannot be read.
+    pub fn check(self) -> Result<(BuildConfig, Limits), Error> {
+        let defaults = BuildConfig::default();
+        let max_level = self.max_level.unwrap_or(defaults.max_level);
+        if !(1..=21).contains(&max_level) {
+            return Err(Error::Config(format!("max_level = {max_level}: it must be 1 to 21")));
+        }
+        let memory_bytes = match &self.memory {
+            None => Limits::default().memory_bytes,
+            Some(text) => {
+                parse_memory(text).map_err(|e| Error::Config(format!("memory = {text:?}: {e}")))?
+            }
+        };
+        let config = BuildConfig {
+            max_level,
+            leaf_capacity: self.leaf_capacity.unwrap_or(defaults.leaf_capacity),
+            tree: match self.tree {
+                None => defaults.tree,
+                Some(RawTree::Binned) => Shape::Binned,
+                Some(RawTree::Paper) => Shape::Paper,
+            },
+            profile: match self.profile {
+                None => defaults.profile,
+                Some(RawProfile::Patch) => Profile::Patch,
+                Some(RawProfile::Paper) => Profile::Paper,
+            },
+            interaction: match self.interaction.and_then(|i| i.list) {
+                None => None,
+                Some(path) => Some(read_pairs(&path)?),
+            },
+        };
+        Ok((config, Limits { threads: self.threads.unwrap_or(0), memory_bytes }))
+    }
+}
+
+fn parse(name: &str, text: &str) -> Result<RawConfig, Error> {
+    // The message of the parser shows line, column and the keys that are known.
+    toml::from_str(text).map_err(|e| Error::Config(format!("{name}: {}", e.to_string().trim_end())))
+}
+
+/// Reads an interaction list: CSV with the header `node_a,node_b`.
+fn read_pairs(path: &Path) -> Result<Vec<(u32, u32)>, Error> {
+    let fail =
+        |line: u64, what: String| Error::Config(format!("{}: line {line}: {what}", path.display()));
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_path(path)
+        .map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+    let header = reader.headers().map_err(|e| fail(1, e.to_string()))?.clone();
+    let column = |name: &str| {
+        let found = header.iter().position(|h| h == name);
+        found.ok_or_else(|| fail(1, format!("no column {name}; the header is node_a,node_b")))
+    };
+    let (a, b) = (column("node_a")?, column("node_b")?);
+    let mut pairs = Vec::new();
+    for row in reader.records() {
+        let row = row.map_err(|e| fail(0, e.to_string()))?;
+        let line = row.position().map_or(0, csv::Position::line);
+        let id = |i: usize| {
+            let text = row.get(i).unwrap_or_default();
+            text.parse::<u32>().map_err(|_| fail(line, format!("{text:?} is no node id")))
+        };
+        pairs.push((id(a)?, id(b)?));
+    }
+    Ok(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_parse_and_depth8_is_the_default() {
+        for (name, text) in PRESETS {
+            parse(name, text).unwrap().check().unwrap();
+        }
+        let depth8 = RawConfig::find(Path::new("depth8.toml")).unwrap().check().unwrap();
+        assert_eq!(depth8, (BuildConfig::default(), Limits::default()));
+    }
+
+    #[test]
+    fn an_unknown_key_is_shown_with_its_line() {
+        let message = parse("x.toml", "max_level = 8\nray = 3\n").unwrap_err().to_string();
+        assert!(message.contains("line 2, column 1") && message.contains("`ray`"), "{message}");
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        for text in ["max_level = 0", "max_level = 22", "memory = \"1MiB\"", "tree = \"oak\""] {
+            let found = parse("x", text).and_then(RawConfig::check);
+            assert_eq!(found.unwrap_err().exit_code(), 78, "{text}");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Everything that can go wrong, with the exit code it ends the command with.
+
+use std::path::{Path, PathBuf};
+
+use pvmap_octree::OctreeError;
+use pvmap_query::QueryError;
+use pvmap_scan::{ErrorKind, ScanError};
+use pvmap_store::StoreError;
+use pvmap_visibility::VisibilityError;
+use pvmap_vmap::FormatError;
+
+/// A failure of the pipeline.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A scan file.
+    #[error(transparent)]
+    Scan(#[from] ScanError),
+    /// The disk, the budget, a wish to stop.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// An octree stage.
+    #[error(transparent)]
+    Octree(#[from] OctreeError),
+    /// The visibility stage.
+    #[error(transparent)]
+    Visibility(#[from] VisibilityError),
+    /// A question that has no answer.
+    #[error(transparent)]
+    Query(#[from] QueryError),
+    /// An artifact that cannot be read.
+    #[error("{}: {source}", path.display())]
+    Artifact {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: FormatError,
+    },
+    /// A configuration that cannot be used.
+    #[error("{0}")]
+    Config(String),
+    /// A request that contradicts itself.
+    #[error("{0}")]
+    Usage(String),
+    /// Data that is not what it should be.
+    #[error("{0}")]
+    Data(String),
+    /// The system gives no threads.
+    #[error("cannot start threads: {0}; give --threads a smaller number")]
+    Threads(String),
+}
+
+impl Error {
+    /// Names the artifact that a format error is about.
+    pub fn artifact(path: &Path, source: FormatError) -> Error {
+        Error::Artifact { path: path.to_path_buf(), source }
+    }
+
+    /// Gives the exit code, as sysexits has them. Source: DESIGN.md §8.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Error::Scan(e) => match e.kind() {
+                ErrorKind::BadData => 65,
+                ErrorKind::NotFound => 66,
+                ErrorKind::Permission => 77,
+                ErrorKind::CannotCreate => 73,
+                _ => of_scan_store(e),
+            },
+            Error::Store(e) | Error::Octree(OctreeError::Store(e)) => of_store(e),
+            Error::Visibility(VisibilityError::Store(e)) => of_store(e),
+            Error::Artifact { source, .. } | Error::Octree(OctreeError::Format(source)) => {
+                of_format(source)
+            }
+            Error::Octree(OctreeError::TooManyNodes) | Error::Config(_) => 78,
+            Error::Octree(OctreeError::Columns { .. }) => 70,
+            Error::Visibility(VisibilityError::Compress(_)) => 70,
+            Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
+            Error::Usage(_) => 2,
+            Error::Threads(_) => 74,
+        }
+    }
+}
+
+fn of_scan_store(e: &ScanError) -> u8 {
+    match e {
+        ScanError::Store(e) => of_store(e),
+        _ => 65,
+    }
+}
+
+fn of_store(e: &StoreError) -> u8 {
+    match e {
+        StoreError::NotFound { .. } | StoreError::NotAFile { .. } => 66,
+        StoreError::Permission { .. } => 77,
+        StoreError::CannotCreate { .. } => 73,
+        StoreError::Locked { .. } => 75,
+        StoreError::Budget { .. } => 78,
+        StoreError::Interrupted => 130,
+        StoreError::NoSpace { .. } | StoreError::TooLittleDisk { .. } | StoreError::Io { .. } => 74,
+    }
+}
+
+fn of_format(e: &FormatError) -> u8 {
+    match e {
+        FormatError::Version { .. } | FormatError::Required { .. } => 78,
+        _ => 65,
+    }
+}

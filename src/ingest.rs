@@ -1,0 +1,335 @@
+//! From scan files to an octree: joins the readers of `scan` to the sort of `octree`.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use pvmap_geometry::PointBatch;
+use pvmap_octree::OctreeError;
+use pvmap_octree::ingest::{
+    ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation, PositionPlan,
+    SourcePlan,
+};
+use pvmap_scan::{
+    ColorRange, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, ScanError, Source,
+    StoredBounds,
+};
+use pvmap_store::{InputFile, StoreError, Watch};
+use pvmap_vmap::frame::CrsKind;
+use pvmap_vmap::octree::ColumnType;
+use rayon::prelude::*;
+
+use crate::{Error, Limits};
+
+/// Points of a batch: large enough to amortise a call, small enough for 64 MiB.
+const BATCH_LEN: usize = 16_384;
+/// Parts a thread: enough that the threads end at about the same time.
+const PARTS_A_THREAD: u64 = 16;
+/// Places of a source at which sample points are read, and points read there.
+const SAMPLE_PLACES: u64 = 64;
+const SAMPLE_LEN: u64 = 512;
+
+/// Which scans to take in, and how.
+#[derive(Debug, Clone)]
+pub struct IngestRequest {
+    /// The scan files, in the order that names them.
+    pub inputs: Vec<PathBuf>,
+    /// The octree to make.
+    pub output: PathBuf,
+    /// Whether it may replace an octree of that name.
+    pub overwrite: bool,
+    /// How files that are not quite right are treated.
+    pub read: ReadOptions,
+    /// Where normals come from.
+    pub normals: NormalsFrom,
+    /// What gives estimated normals their side.
+    pub orientation: Orientation,
+}
+
+impl IngestRequest {
+    /// Asks for the defaults.
+    pub fn new(inputs: impl IntoIterator<Item = PathBuf>, output: PathBuf) -> IngestRequest {
+        IngestRequest {
+            inputs: inputs.into_iter().collect(),
+            output,
+            overwrite: false,
+            read: ReadOptions::default(),
+            normals: NormalsFrom::default(),
+            orientation: Orientation::default(),
+        }
+    }
+}
+
+/// What an ingest did.
+#[derive(Debug, Clone)]
+pub struct Ingested {
+    /// Counts and sizes.
+    pub report: IngestReport,
+    /// What became of the records, a source each.
+    pub reads: Vec<ReadReport>,
+}
+
+/// Streams scan files into a sorted octree.
+///
+/// # Errors
+/// Where an input cannot be read or is broken, the output exists, the disk fails or is too small,
+/// or the run is asked to stop; nothing is left behind then.
+pub fn ingest(
+    request: &IngestRequest,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<Ingested, Error> {
+    limits.run(|| run(request, limits, watch))?
+}
+
+fn run(request: &IngestRequest, limits: &Limits, watch: &dyn Watch) -> Result<Ingested, Error> {
+    let sources = open_all(request, watch)?;
+    let bounds: Vec<Option<StoredBounds>> =
+        sources.iter().map(known_bounds).collect::<Result<_, _>>()?;
+    let plans: Vec<SourcePlan> =
+        sources.iter().zip(&bounds).map(|(s, b)| plan(s, b.as_ref())).collect();
+    let mut samples = Vec::new();
+    for source in &sources {
+        sample(source, &mut samples)?;
+    }
+    let options = IngestOptions {
+        output: request.output.clone(),
+        overwrite: request.overwrite,
+        memory_bytes: limits.memory_bytes,
+        normals: request.normals,
+        orientation: request.orientation.clone(),
+    };
+    let job = Ingest::new(options, plans, &samples, watch)?;
+    drop(samples);
+    let reads = read_all(&sources, &job, watch)?;
+    check_normals(request, &reads, &sources)?;
+    let dropped: Vec<u64> = reads.iter().map(|r| r.n_dropped).collect();
+    report_oddities(&sources, &reads, watch);
+    Ok(Ingested { report: job.finish(&dropped)?, reads })
+}
+
+/// Opens all inputs, warning of what their headers say twice or wrongly.
+fn open_all(request: &IngestRequest, watch: &dyn Watch) -> Result<Vec<Source>, Error> {
+    let mut seen = HashMap::new();
+    let mut sources = Vec::with_capacity(request.inputs.len());
+    for (path, index) in request.inputs.iter().zip(0u32..) {
+        let identity = InputFile::open(path)?.identity();
+        if let Some(first) = seen.insert(identity.inode, path) {
+            watch.warn(&format!(
+                "{} is {} again; its points are taken twice",
+                path.display(),
+                first.display()
+            ));
+        }
+        let source = Source::open(path, index, request.read)?;
+        for warning in &source.info().warnings {
+            watch.warn(&format!("{}: {warning}", path.display()));
+        }
+        sources.push(source);
+    }
+    Ok(sources)
+}
+
+/// Gives the bounds of a source as far as they are known before it is decoded.
+fn known_bounds(source: &Source) -> Result<Option<StoredBounds>, Error> {
+    let info = source.info();
+    if let Some((min, max)) = info.bounds {
+        let real = |v: [i64; 3]| v.map(|x| x as f64);
+        return Ok(Some(StoredBounds { min: real(min), max: real(max) }));
+    }
+    // A LAS header without usable bounds is not read twice: its records are packed again. A PLY
+    // has none, but its coordinates are cheap to scan; text, which is not, comes as one part.
+    let parts = source.parts(rayon::current_num_threads() as u64);
+    if matches!(info.kind, PositionKind::Lattice { .. }) || parts.len() < 2 {
+        return Ok(None);
+    }
+    let each = parts.into_par_iter().map(|part| source.bounds_scan(part));
+    let joined = each.try_reduce(|| StoredBounds::EMPTY, |a, b| Ok(a.join(&b)))?;
+    Ok((joined.min[0] <= joined.max[0]).then_some(joined))
+}
+
+/// Says of a source what the sort must know.
+fn plan(source: &Source, bounds: Option<&StoredBounds>) -> SourcePlan {
+    let info = source.info();
+    let format = match &info.format {
+        f if f.starts_with("LAS") => 1,
+        f if f.starts_with("LAZ") => 2,
+        _ => 3,
+    };
+    let world = bounds.map(|b| (b.min, b.max));
+    let lattice = bounds.map(|b| (b.min.map(|v| v as i64), b.max.map(|v| v as i64)));
+    let name = info.path.file_name().unwrap_or_default();
+    SourcePlan {
+        name: name.as_encoded_bytes().to_vec(),
+        format,
+        positions: match info.kind {
+            PositionKind::Lattice { scale, offset } => {
+                PositionPlan::Lattice { scale, offset, bounds: lattice }
+            }
+            PositionKind::Single => PositionPlan::Single(world),
+            PositionKind::Double => PositionPlan::Double(world),
+        },
+        n_declared: info.n_points,
+        color: match info.columns.color {
+            None => ColorPlan::Absent,
+            Some(ColorRange::Eight) => ColorPlan::Eight,
+            Some(ColorRange::Sixteen) => ColorPlan::Sixteen,
+            Some(ColorRange::Either) => ColorPlan::Either,
+        },
+        intensity: info.columns.intensity.map(|kind| match kind {
+            IntensityKind::U16 => ColumnType::U16,
+            IntensityKind::F32 => ColumnType::F32,
+        }),
+        has_class: info.columns.classification,
+        has_gps_time: info.columns.gps_time,
+        has_normal: info.columns.normal,
+        crs: info.crs.as_ref().map(|crs| match crs {
+            Crs::Wkt(text) => (CrsKind::Wkt, text.clone()),
+            Crs::GeoTiff { keys, doubles, texts } => {
+                (CrsKind::GeoTiff, [keys.as_slice(), doubles, texts].concat())
+            }
+        }),
+    }
+}
+
+/// Reads a few points from all over a source.
+fn sample(source: &Source, samples: &mut Vec<PointBatch>) -> Result<(), Error> {
+    let parts = source.parts(SAMPLE_PLACES);
+    if parts.len() < 2 && source.info().n_points > SAMPLE_PLACES * SAMPLE_LEN {
+        // One long part: reading its start says nothing of the rest.
+        return Ok(());
+    }
+    for part in parts {
+        let end = part.end.min(part.start + SAMPLE_LEN);
+        source.read(part.start..end, SAMPLE_LEN as usize, |batch| {
+            samples.push(batch);
+            Ok::<_, ScanError>(())
+        })?;
+    }
+    Ok(())
+}
+
+/// Either side of the join can fail while a part is read.
+enum Failure {
+    Scan(ScanError),
+    Octree(OctreeError),
+}
+
+impl From<ScanError> for Failure {
+    fn from(e: ScanError) -> Failure {
+        Failure::Scan(e)
+    }
+}
+
+impl From<Failure> for Error {
+    fn from(e: Failure) -> Error {
+        match e {
+            Failure::Scan(e) => e.into(),
+            Failure::Octree(e) => e.into(),
+        }
+    }
+}
+
+/// Reads all parts of all sources on all threads.
+fn read_all(
+    sources: &[Source],
+    job: &Ingest<'_>,
+    watch: &dyn Watch,
+) -> Result<Vec<ReadReport>, Error> {
+    let total = sources.iter().map(|s| s.info().n_points).sum();
+    watch.stage("read", Some(total), "points");
+    let n_parts = rayon::current_num_threads() as u64 * PARTS_A_THREAD;
+    let parts: Vec<(usize, Range<u64>)> = sources
+        .iter()
+        .enumerate()
+        .flat_map(|(i, s)| s.parts(n_parts).into_iter().map(move |part| (i, part)))
+        .collect();
+    let reports: Vec<(usize, ReadReport)> = parts
+        .into_par_iter()
+        .map(|(i, part)| {
+            let mut worker = job.worker();
+            let report = sources[i].read(part, BATCH_LEN, |batch| {
+                watch.check().map_err(|e| Failure::Octree(e.into()))?;
+                worker.push(&batch).map_err(Failure::Octree)?;
+                watch.advance(batch.len() as u64);
+                Ok::<_, Failure>(())
+            })?;
+            worker.finish().map_err(Failure::Octree)?;
+            Ok((i, report))
+        })
+        .collect::<Result<_, Error>>()?;
+    let mut joined = vec![ReadReport::default(); sources.len()];
+    for (i, report) in reports {
+        joined[i] = joined[i].join(&report);
+    }
+    Ok(joined)
+}
+
+/// `--normals file` promises the file's normals: without any it cannot be kept.
+fn check_normals(
+    request: &IngestRequest,
+    reads: &[ReadReport],
+    sources: &[Source],
+) -> Result<(), Error> {
+    let has =
+        |(s, r): (&Source, &ReadReport)| s.info().columns.normal && r.n_read > r.n_normals_missing;
+    let any = sources.iter().zip(reads).any(has);
+    let some_points = reads.iter().any(|r| r.n_read > 0);
+    if request.normals == NormalsFrom::File && some_points && !any {
+        return Err(Error::Data(
+            "no input has normals; use --normals estimate, or leave --normals away".to_owned(),
+        ));
+    }
+    Ok(())
+}
+
+/// Tells what does not stop an ingest but should be known.
+fn report_oddities(sources: &[Source], reads: &[ReadReport], watch: &dyn Watch) {
+    for (source, read) in sources.iter().zip(reads) {
+        let name = source.info().path.display();
+        if read.n_dropped > 0 {
+            let first = read.first_dropped.unwrap_or_default();
+            watch.warn(&format!(
+                "{name}: dropped {} points with a coordinate that is not finite, the first is point {first}",
+                read.n_dropped
+            ));
+        }
+        if read.n_missing > 0 {
+            watch.warn(&format!("{name}: {} declared points are not in the file", read.n_missing));
+        }
+        if read.n_outside_bounds > 0 {
+            watch.warn(&format!(
+                "{name}: {} points lie outside the bounds of its header; the true bounds are used",
+                read.n_outside_bounds
+            ));
+        }
+    }
+    if reads.iter().all(|r| r.n_read == 0) {
+        watch.warn("there are no points; the octree is empty");
+    }
+}
+
+/// Gives the octree a single input makes when no name is given: `dir/grotto.las` → `grotto.octree`.
+pub fn default_output(input: &Path) -> PathBuf {
+    let stem = input.file_stem().unwrap_or(input.as_os_str());
+    let stem = Path::new(stem);
+    // A COPC file is named grotto.copc.laz.
+    let stem = match stem.extension() {
+        Some(e) if e.eq_ignore_ascii_case("copc") => stem.with_extension(""),
+        _ => stem.to_path_buf(),
+    };
+    let mut name = stem.into_os_string();
+    name.push(".octree");
+    name.into()
+}
+
+/// Says whether an output would replace one of its inputs (F33).
+pub fn is_input(output: &Path, inputs: &[PathBuf]) -> Result<bool, StoreError> {
+    let Ok(output) = InputFile::open(output) else { return Ok(false) };
+    for input in inputs {
+        if InputFile::open(input)?.identity().inode == output.identity().inode {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}

@@ -1,0 +1,100 @@
+//! Generated scenes as scan files: joins `scene` to the writers of `scan`.
+
+use std::path::Path;
+
+use pvmap_geometry::{PointBatch, Positions};
+use pvmap_scan::{ColorRange, LasOptions, LasWriter, PlyColumns, PlyWriter};
+use pvmap_scene::{Sample, Scene};
+use pvmap_store::Watch;
+use rayon::prelude::*;
+
+use crate::{Error, Limits};
+
+/// Points generated at once.
+const BLOCK_POINTS: u64 = 1 << 18;
+/// Lattice of a written LAS file: a tenth of a millimetre, finer than any scanner's noise.
+const SCALE_M: f64 = 0.0001;
+
+/// Which points of a scene to write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SceneRequest {
+    /// How many.
+    pub n_points: u64,
+    /// Whether in random instead of coherent order.
+    pub shuffle: bool,
+}
+
+enum Writer {
+    Las(LasWriter),
+    Ply(PlyWriter),
+}
+
+/// Writes points of a scene, with normals and colours, as LAS, LAZ or PLY by the file's ending.
+///
+/// # Errors
+/// Where the ending is another one, the file cannot be written or the run is asked to stop.
+pub fn write(
+    scene: &Scene,
+    request: &SceneRequest,
+    path: &Path,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<(), Error> {
+    let mut writer = open(path, request.n_points)?;
+    watch.stage("scene", Some(request.n_points), "points");
+    limits.run(|| {
+        for first in (0..request.n_points).step_by(BLOCK_POINTS as usize) {
+            watch.check()?;
+            let batch = batch(scene, request, first, BLOCK_POINTS.min(request.n_points - first));
+            match &mut writer {
+                Writer::Las(w) => w.write(&batch)?,
+                Writer::Ply(w) => w.write(&batch)?,
+            }
+            watch.advance(batch.len() as u64);
+        }
+        match writer {
+            Writer::Las(w) => w.finish()?,
+            Writer::Ply(w) => w.finish()?,
+        }
+        Ok(())
+    })?
+}
+
+fn open(path: &Path, n_points: u64) -> Result<Writer, Error> {
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let las = |compressed| {
+        let (scale, offset) = ([SCALE_M; 3], [0.0; 3]);
+        LasWriter::create(path, LasOptions { compressed, scale, offset, normals: true })
+    };
+    Ok(match ending.to_str() {
+        Some("las") => Writer::Las(las(false)?),
+        Some("laz") => Writer::Las(las(true)?),
+        Some("ply") => {
+            let color = Some(ColorRange::Eight);
+            let columns =
+                PlyColumns { double: false, normal: true, color, ..PlyColumns::default() };
+            Writer::Ply(PlyWriter::create(path, n_points, columns)?)
+        }
+        _ => {
+            let message = format!("{}: a scene is written as .las, .laz or .ply", path.display());
+            return Err(Error::Usage(message));
+        }
+    })
+}
+
+/// Generates points `first..first + n` of a scene.
+pub fn batch(scene: &Scene, request: &SceneRequest, first: u64, n: u64) -> PointBatch {
+    let points = scene.points(request.n_points);
+    let points = if request.shuffle { points.shuffled() } else { points };
+    let samples: Vec<Sample> = (first..first + n).into_par_iter().map(|i| points.at(i)).collect();
+    PointBatch {
+        source: 0,
+        records: (first..first + n).collect(),
+        positions: Positions::Double(samples.iter().map(|s| s.position).collect()),
+        color: Some(samples.iter().map(|s| s.color.map(u16::from)).collect()),
+        intensity: None,
+        classification: None,
+        gps_time: None,
+        normal: Some(samples.iter().map(|s| s.normal).collect()),
+    }
+}
