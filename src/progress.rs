@@ -13,7 +13,7 @@ use pvmap::{Watch, memory};
 
 /// How progress is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Mode {
+pub(crate) enum Mode {
     /// Bars on a terminal, plain lines elsewhere.
     Auto,
     /// Bars.
@@ -35,13 +35,13 @@ const SHORT: Duration = Duration::from_millis(500);
 
 /// A stage that has ended.
 #[derive(Debug, Clone)]
-pub struct StageDone {
+pub(crate) struct StageDone {
     /// Its name.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Wall time.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Most anonymous memory seen while it ran.
-    pub peak_bytes: u64,
+    pub(crate) peak_bytes: u64,
 }
 
 struct Stage {
@@ -65,14 +65,14 @@ struct Shared {
 }
 
 /// Shows the progress of a run until it is dropped.
-pub struct Progress {
+pub(crate) struct Progress {
     shared: Arc<Shared>,
     ticker: Option<JoinHandle<()>>,
 }
 
 impl Progress {
     /// Starts to watch; `signal` holds the signal that asks to stop, 0 for none.
-    pub fn new(mode: Mode, signal: Arc<AtomicUsize>) -> Progress {
+    pub(crate) fn new(mode: Mode, signal: Arc<AtomicUsize>) -> Progress {
         let terminal = std::io::stderr().is_terminal();
         let mode = match mode {
             Mode::Auto if terminal => Mode::Bar,
@@ -100,7 +100,7 @@ impl Progress {
     }
 
     /// Ends the stage at hand and gives all stages so far, forgetting them.
-    pub fn take_stages(&self) -> Vec<StageDone> {
+    pub(crate) fn take_stages(&self) -> Vec<StageDone> {
         self.shared.end_stage();
         std::mem::take(&mut lock(&self.shared.finished))
     }
@@ -232,7 +232,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Writes a number in three digits and a magnitude: 11.6 M.
-pub fn si(v: f64) -> String {
+pub(crate) fn si(v: f64) -> String {
     match v {
         v if v >= 1e12 => format!("{:.2} T", v / 1e12),
         v if v >= 1e9 => format!("{:.2} G", v / 1e9),

@@ -115,6 +115,16 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     )?;
     let a_link = built.report.link_bytes as f64 / (s.n_links as f64).max(1.0);
     writeln!(out, "  disk      {}, {a_link:.2} bytes a link", mib(built.report.output_bytes))?;
+    let c = &built.report.counts;
+    writeln!(
+        out,
+        "  work      {} node pairs, {} candidates, {} segments, {} discs met, {} settled exactly",
+        si(c.n_node_pairs as f64),
+        si(c.n_candidates as f64),
+        si(c.n_segments as f64),
+        si(c.n_tests as f64),
+        si(c.n_exact as f64)
+    )?;
     let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
     let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
     let rate = pairs as f64 / seconds.max(1e-9);

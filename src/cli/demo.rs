@@ -1,8 +1,179 @@
-//! placeholder
-use super::{Context, Outcome};
-/// The whole way.
+//! `pvmap demo`: the whole way on a generated room, with the figures that matter.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+
+use pvmap::query::{Map, Place, Snap};
+use pvmap::scene::{Sample, Scene, SceneKind};
+use pvmap::scenes::{self, SceneRequest};
+use pvmap::vmap::{FormatError, MapView};
+use pvmap::{BuildConfig, Built, Error, IngestRequest, Limits, Mapped, config::RawConfig};
+
+use super::build::{fewer_links, square};
+use super::{Context, Outcome, mib, parse_count};
+use crate::progress::StageDone;
+
+/// Make a furnished room, ingest it, build its map, verify it, ask it, and print what that took.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {}
-pub(super) fn run(_: &Args, _: &Context) -> Outcome {
-    todo!()
+#[command(after_help = "\
+Examples:
+  pvmap demo
+  pvmap demo --points 2M --keep room     keeps room.ply, room.octree and room.vmap")]
+pub(super) struct Args {
+    /// Points of the room.
+    #[arg(long, default_value = "400k", value_parser = parse_count, value_name = "N")]
+    points: u64,
+    /// What the points are drawn from.
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    seed: u64,
+    /// Random pairs whose answers are compared with the exact truth.
+    #[arg(long, default_value = "100k", value_parser = parse_count, value_name = "N")]
+    pairs: u64,
+    /// Build as the paper does too, and compare.
+    #[arg(long)]
+    paper: bool,
+    /// Keep the files under this name.
+    #[arg(long, value_name = "NAME")]
+    keep: Option<String>,
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    let folder = tempfile::tempdir()
+        .map_err(|e| pvmap::StoreError::io(Path::new("."), "make a temporary folder in", e))?;
+    let (base, name) = match &args.keep {
+        Some(name) => (Path::new("."), name.as_str()),
+        None => (folder.path(), "room"),
+    };
+    let file = |ending: &str| base.join(format!("{name}.{ending}"));
+    let scene = Scene::new(SceneKind::Furnished, args.seed);
+    let limits = Limits::default();
+    let watch = &context.progress;
+    let request = SceneRequest { n_points: args.points, shuffle: false };
+    scenes::write(&scene, &request, &file("ply"), &limits, watch)?;
+    let mut ingest = IngestRequest::new([file("ply")], file("octree"));
+    ingest.overwrite = args.keep.is_some();
+    pvmap::ingest(&ingest, &limits, watch)?;
+    let mut stages = context.progress.take_stages();
+    let mut columns = Vec::new();
+    let presets: &[&str] = if args.paper { &["depth8", "paper"] } else { &["depth8"] };
+    for preset in presets {
+        let (config, _) = RawConfig::find(Path::new(preset))?.check()?;
+        let map = if *preset == "depth8" { file("vmap") } else { file("paper.vmap") };
+        let built = pvmap::build(&file("octree"), &map, &config, &limits, watch)?;
+        let sample = try_out(&map, &scene, args, context)?;
+        columns.push(Column { preset, config, built, sample });
+        if *preset == "depth8" {
+            stages.extend(context.progress.take_stages());
+        }
+    }
+    print(args, &columns, &stages)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What one configuration gave.
+struct Column<'a> {
+    preset: &'a str,
+    config: BuildConfig,
+    built: Built,
+    sample: Agreement,
+}
+
+/// How answers of the map compare with exact geometry.
+#[derive(Debug, Clone, Copy, Default)]
+struct Agreement {
+    n_pairs: u64,
+    n_visible: u64,
+    n_false_visible: u64,
+    n_false_invisible: u64,
+    /// Answers a second, one thread, cold.
+    rate: f64,
+}
+
+/// Verifies a map and asks it about random pairs of the scene's points.
+fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result<Agreement, Error> {
+    use pvmap::Watch;
+    let bytes = Mapped::open(path)?;
+    let named = |e: FormatError| Error::artifact(path, e);
+    context.progress.stage("verify", Some(bytes.len() as u64), "bytes");
+    MapView::open(&bytes).and_then(|v| v.verify()).map_err(named)?;
+    context.progress.stage("query", Some(args.pairs), "pairs");
+    let map = Map::open(&bytes)?;
+    let points = scene.points(args.points);
+    let mut found = Agreement { n_pairs: args.pairs, ..Agreement::default() };
+    let mut seconds = 0.0;
+    let mut draw = Draw(args.seed);
+    for _ in 0..args.pairs {
+        let (a, b) = (points.at(draw.below(args.points)), points.at(draw.below(args.points)));
+        let started = std::time::Instant::now();
+        // The file holds f32: what it rounded away must not put a place outside the cube.
+        let stored = |s: &Sample| s.position.map(|v| f64::from(v as f32));
+        let place = |s: &Sample| Place { position: stored(s), normal: Some(s.normal) };
+        let (at_a, at_b) = (
+            map.locate(&place(&a), Snap::Within(f64::INFINITY))?,
+            map.locate(&place(&b), Snap::Within(f64::INFINITY))?,
+        );
+        let visible = map.pair(&at_a, &at_b)?.visible;
+        seconds += started.elapsed().as_secs_f64();
+        let truth = scene.sees(&a, &b);
+        found.n_visible += u64::from(truth);
+        found.n_false_visible += u64::from(visible && !truth);
+        found.n_false_invisible += u64::from(truth && !visible);
+    }
+    context.progress.advance(args.pairs);
+    found.rate = args.pairs as f64 / seconds.max(1e-9);
+    Ok(found)
+}
+
+/// SplitMix64: which points are asked about.
+struct Draw(u64);
+
+impl Draw {
+    fn below(&mut self, n: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((u128::from(z ^ (z >> 31)) * u128::from(n)) >> 64) as u64
+    }
+}
+
+fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "A furnished room of {} points (seed {})\n", args.points, args.seed)?;
+    let mut row = |name: &str, value: &dyn Fn(&Column<'_>) -> String| {
+        write!(out, "{name:<22}")?;
+        columns.iter().try_for_each(|c| write!(out, "{:>16}", value(c)))?;
+        writeln!(out)
+    };
+    row("", &|c| c.preset.to_owned())?;
+    row("leaves N", &|c| c.built.report.summary.n_surfels.to_string())?;
+    row("leaf pairs", &|c| c.built.n_leaf_pairs.to_string())?;
+    row("links", &|c| c.built.report.summary.n_links.to_string())?;
+    row("links, both ways", &|c| (2 * c.built.report.summary.n_links).to_string())?;
+    row("N²", &|c| square(c.built.report.summary.n_surfels).to_string())?;
+    row("fewer than N²", &|c| {
+        let s = &c.built.report.summary;
+        format!("{:.2} %", fewer_links(s.n_links, s.n_surfels))
+    })?;
+    row("map", &|c| mib(c.built.report.output_bytes))?;
+    row("depth", &|c| c.config.max_level.to_string())?;
+    row("pairs asked", &|c| c.sample.n_pairs.to_string())?;
+    row("agree with truth", &|c| {
+        let wrong = c.sample.n_false_visible + c.sample.n_false_invisible;
+        share(c.sample.n_pairs - wrong, c.sample.n_pairs)
+    })?;
+    row("truly visible", &|c| share(c.sample.n_visible, c.sample.n_pairs))?;
+    row("wrongly visible", &|c| share(c.sample.n_false_visible, c.sample.n_pairs))?;
+    row("wrongly invisible", &|c| share(c.sample.n_false_invisible, c.sample.n_pairs))?;
+    row("answers a second", &|c| format!("{:.0}", c.sample.rate))?;
+    writeln!(out, "\n{:<22}{:>16}{:>16}", "stage (depth8)", "seconds", "peak memory")?;
+    for stage in stages {
+        writeln!(out, "{:<22}{:>16.2}{:>16}", stage.name, stage.seconds, mib(stage.peak_bytes))?;
+    }
+    Ok(())
+}
+
+fn share(n: u64, of: u64) -> String {
+    format!("{:.2} %", 100.0 * n as f64 / (of as f64).max(1.0))
 }

@@ -64,14 +64,14 @@ struct Context {
 type Outcome = anyhow::Result<ExitCode>;
 
 /// Runs the command; prints at most one line of error.
-pub fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let signal = Arc::new(AtomicUsize::new(0));
     if let Err(e) = listen(&signal) {
         report(&format!("cannot listen for signals: {e}"));
         return ExitCode::from(70);
     }
-    quiet_decoders();
+    hook_panics();
     let context = Context { progress: Progress::new(cli.progress, signal.clone()) };
     let result =
         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(cli.command, &context)));
@@ -110,12 +110,13 @@ fn listen(signal: &Arc<AtomicUsize>) -> io::Result<()> {
     Ok(())
 }
 
-/// Silences panics of third-party decoders: they are caught and become errors with a place.
-fn quiet_decoders() {
-    let usual = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |info| {
+/// Says a panic in one line. Panics of third-party decoders are caught and become errors with a
+/// place; nobody need hear of them twice.
+fn hook_panics() {
+    std::panic::set_hook(Box::new(|info| {
         if !pvmap::scan::is_decoding() {
-            usual(info);
+            let message = info.to_string().replace('\n', " ");
+            report(&format!("a bug, please report it: {message}"));
         }
     }));
 }

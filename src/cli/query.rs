@@ -1,8 +1,276 @@
-//! placeholder
-use super::Outcome;
+//! `pvmap query`: ask a map.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Subcommand;
+use pvmap::query::{Located, Map, PairAnswer, Place, QueryError, Snap};
+use pvmap::{Error, StoreError};
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::{Outcome, map_file, parse_point, print_json};
+
 /// Ask a map.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {}
-pub(super) fn run(_: &Args) -> Outcome {
-    todo!()
+#[command(after_help = "\
+Examples:
+  pvmap query grotto.vmap pair 1,2,3 -4,5,6       yes (exit 0) or no (exit 1)
+  pvmap query grotto.vmap pairs rows.csv          a row an answer
+  cat rows.csv | pvmap query grotto.vmap pairs - --json")]
+pub(super) struct Args {
+    /// The map.
+    map: PathBuf,
+    #[command(subcommand)]
+    question: Question,
+}
+
+#[derive(Debug, Subcommand)]
+enum Question {
+    Pair(PairArgs),
+    Pairs(PairsArgs),
+}
+
+/// Do two places see each other? Exit 0 for yes, 1 for no.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1")]
+struct PairArgs {
+    /// One place, x,y,z in the scan's units.
+    #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X1,Y1,Z1")]
+    a: [f64; 3],
+    /// The other.
+    #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X2,Y2,Z2")]
+    b: [f64; 3],
+    /// Which side of an edge or a thin wall the first place is on.
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    normal1: Option<[f64; 3]>,
+    /// Which side the other is on.
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    normal2: Option<[f64; 3]>,
+    /// How far from a surface a place may be; default: four half spacings of its surfel.
+    #[arg(long, value_name = "DIST")]
+    snap: Option<f64>,
+    /// As one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Answer a row an input row, in order.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Input columns, by name in a header row, in any order:
+  x1 y1 z1 x2 y2 z2                      the two places
+  nx1 ny1 nz1 nx2 ny2 nz2                optional: their sides
+
+Output columns:
+  visible                                0 or 1, empty where there is no answer
+  surfel1 surfel2                        which surfels the places lie on
+  distance1 distance2                    how far from them
+  error                                  why there is no answer")]
+struct PairsArgs {
+    /// A CSV file, or - for standard input.
+    rows: PathBuf,
+    /// How far from a surface a place may be; default: four half spacings of its surfel.
+    #[arg(long, value_name = "DIST")]
+    snap: Option<f64>,
+    /// As a JSON object a line.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args) -> Outcome {
+    let (path, bytes) = map_file(&args.map)?;
+    let map = Map::open(&bytes).map_err(|e| named(&path, e))?;
+    match &args.question {
+        Question::Pair(pair) => answer_pair(&map, &path, pair),
+        Question::Pairs(pairs) => answer_pairs(&map, &path, pairs),
+    }
+}
+
+/// Says which map an error is about, where it is about the map.
+fn named(path: &Path, e: QueryError) -> Error {
+    match e {
+        QueryError::Format(e) => Error::artifact(path, e),
+        e => Error::Query(e),
+    }
+}
+
+fn snap_of(snap: Option<f64>) -> Snap {
+    snap.map_or(Snap::FourHalfSpacings, Snap::Within)
+}
+
+/// Two located places and what the map says of them.
+type Answer = (Located, Located, PairAnswer);
+
+fn ask(map: &Map<'_>, a: &Place, b: &Place, snap: Snap) -> Result<Answer, QueryError> {
+    let (a, b) = (map.locate(a, snap)?, map.locate(b, snap)?);
+    let answer = map.pair(&a, &b)?;
+    Ok((a, b, answer))
+}
+
+fn answer_pair(map: &Map<'_>, path: &Path, args: &PairArgs) -> Outcome {
+    let place = |position, normal: Option<[f64; 3]>| Place {
+        position,
+        normal: normal.map(|n| n.map(|v| v as f32)),
+    };
+    let (a, b) = (place(args.a, args.normal1), place(args.b, args.normal2));
+    let (a, b, answer) = ask(map, &a, &b, snap_of(args.snap)).map_err(|e| named(path, e))?;
+    if args.json {
+        print_json(&as_json(&a, &b, &answer))?;
+    } else {
+        let mut out = io::stdout().lock();
+        writeln!(out, "{}", if answer.visible { "yes" } else { "no" })?;
+        writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
+        match &answer.link {
+            Some(link) => {
+                let ((na, nb), (pa, pb)) = (link.nodes, link.n_points);
+                writeln!(out, "  link      nodes {na} and {nb}")?;
+                writeln!(out, "  settles   {pa} points on one side, {pb} on the other")?;
+            }
+            None if answer.visible => writeln!(out, "  link      none: both lie on one surfel")?,
+            None => {}
+        }
+    }
+    Ok(ExitCode::from(u8::from(!answer.visible)))
+}
+
+fn as_json(a: &Located, b: &Located, answer: &PairAnswer) -> Value {
+    let link = answer.link.as_ref().map(|link| {
+        json!({
+            "nodes": [link.nodes.0, link.nodes.1],
+            "points": [link.n_points.0, link.n_points.1],
+        })
+    });
+    json!({
+        "visible": answer.visible,
+        "surfel1": a.surfel,
+        "surfel2": b.surfel,
+        "distance1": a.distance,
+        "distance2": b.distance,
+        "link": link,
+    })
+}
+
+/// Rows answered at once.
+const CHUNK_ROWS: usize = 8192;
+
+fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
+    let input: Box<dyn Read> = match args.rows.as_os_str() == "-" {
+        true => Box::new(io::stdin().lock()),
+        false => Box::new(
+            File::open(&args.rows)
+                .map_err(|e| Error::Store(StoreError::io(&args.rows, "open", e)))?,
+        ),
+    };
+    let unreadable = |e: csv::Error| Error::Data(format!("{}: {e}", args.rows.display()));
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(input);
+    let columns = Columns::find(reader.headers().map_err(unreadable)?)
+        .map_err(|what| Error::Data(format!("{}: {what}", args.rows.display())))?;
+    let mut out = BufWriter::with_capacity(1 << 16, io::stdout().lock());
+    if !args.json {
+        writeln!(out, "visible,surfel1,surfel2,distance1,distance2,error")?;
+    }
+    let snap = snap_of(args.snap);
+    let mut records = reader.records();
+    loop {
+        let chunk: Vec<csv::StringRecord> =
+            records.by_ref().take(CHUNK_ROWS).collect::<Result<_, _>>().map_err(unreadable)?;
+        if chunk.is_empty() {
+            break;
+        }
+        let answer = |row: &csv::StringRecord| {
+            let (a, b) = columns.places(row)?;
+            ask(map, &a, &b, snap).map_err(|e| match e {
+                QueryError::Format(e) => RowError::Map(Error::artifact(path, e)),
+                e => RowError::Row(e.to_string()),
+            })
+        };
+        let answers: Vec<Result<Answer, RowError>> = chunk.par_iter().map(answer).collect();
+        for answer in answers {
+            write_row(&mut out, answer, args.json)?;
+        }
+    }
+    out.flush()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Why a row has no answer: because of the row, or because of the map.
+enum RowError {
+    Row(String),
+    Map(Error),
+}
+
+impl From<String> for RowError {
+    fn from(what: String) -> RowError {
+        RowError::Row(what)
+    }
+}
+
+fn write_row(
+    out: &mut impl Write,
+    answer: Result<Answer, RowError>,
+    as_lines: bool,
+) -> anyhow::Result<()> {
+    match answer {
+        Err(RowError::Map(e)) => return Err(e.into()),
+        Ok((a, b, answer)) if as_lines => writeln!(out, "{}", as_json(&a, &b, &answer))?,
+        Ok((a, b, answer)) => writeln!(
+            out,
+            "{},{},{},{},{},",
+            u8::from(answer.visible),
+            a.surfel,
+            b.surfel,
+            a.distance,
+            b.distance
+        )?,
+        Err(RowError::Row(what)) if as_lines => writeln!(out, "{}", json!({ "error": what }))?,
+        Err(RowError::Row(what)) => writeln!(out, ",,,,,\"{}\"", what.replace('"', "\"\""))?,
+    }
+    Ok(())
+}
+
+/// Where the columns of a pairs table are.
+struct Columns {
+    places: [[usize; 3]; 2],
+    normals: [Option<[usize; 3]>; 2],
+}
+
+impl Columns {
+    fn find(header: &csv::StringRecord) -> Result<Columns, String> {
+        let column = |name: String| header.iter().position(|h| h == name).ok_or(name);
+        let three = |prefix: &str, side: u8| -> Result<[usize; 3], String> {
+            let named = |axis: &str| column(format!("{prefix}{axis}{side}"));
+            Ok([named("x")?, named("y")?, named("z")?])
+        };
+        let missing = |name| format!("no column {name}; the header row is x1,y1,z1,x2,y2,z2");
+        Ok(Columns {
+            places: [three("", 1).map_err(missing)?, three("", 2).map_err(missing)?],
+            normals: [three("n", 1).ok(), three("n", 2).ok()],
+        })
+    }
+
+    fn places(&self, row: &csv::StringRecord) -> Result<(Place, Place), String> {
+        let number = |i: usize| {
+            let text = row.get(i).unwrap_or_default();
+            text.parse::<f64>().map_err(|_| format!("{text:?} is not a number"))
+        };
+        let three =
+            |at: [usize; 3]| Ok::<_, String>([number(at[0])?, number(at[1])?, number(at[2])?]);
+        let place = |side: usize| {
+            let normal = match self.normals[side] {
+                // Empty cells: this row does not choose a side.
+                Some(at) if at.iter().any(|&i| !row.get(i).unwrap_or_default().is_empty()) => {
+                    Some(three(at)?.map(|v| v as f32))
+                }
+                _ => None,
+            };
+            Ok::<_, String>(Place { position: three(self.places[side])?, normal })
+        };
+        Ok((place(0)?, place(1)?))
+    }
 }

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use pvmap::Limits;
 use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
-use pvmap::{Error, Limits};
 
 use super::{Context, Outcome, parse_count};
 
@@ -40,7 +40,6 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let scene = Scene::new(args.name, args.seed);
     let request = SceneRequest { n_points: args.points, shuffle: args.shuffle };
-    scenes::write(&scene, &request, &args.output, &Limits::default(), &context.progress)
-        .map_err(Error::from)?;
+    scenes::write(&scene, &request, &args.output, &Limits::default(), &context.progress)?;
     Ok(ExitCode::SUCCESS)
 }

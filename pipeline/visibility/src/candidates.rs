@@ -38,7 +38,7 @@ pub enum Depth {
 }
 
 /// Refines a list for a smaller pair: drops what cannot block, opens what is larger than `depth`
-/// asks, and appends the rest to `list` (the old list is `list[from]`).
+/// asks, and appends the rest to `list` (the old list is `list[from]`). Gives the nodes tested.
 pub fn refine(
     tree: &Tree,
     bounds: &[Bounds],
@@ -46,10 +46,8 @@ pub fn refine(
     depth: Depth,
     list: &mut Vec<u32>,
     from: std::ops::Range<usize>,
-) {
-    for i in from {
-        open(tree, bounds, corridor, depth, list[i], list);
-    }
+) -> u64 {
+    from.map(|i| open(tree, bounds, corridor, depth, list[i], list)).sum()
 }
 
 /// Recurses at most 24 deep: bins, 21 levels of octants, quadrants.
@@ -60,10 +58,10 @@ fn open(
     depth: Depth,
     id: u32,
     list: &mut Vec<u32>,
-) {
+) -> u64 {
     let found = &bounds[id as usize];
     if !found.can_block() || corridor.excludes(found) {
-        return;
+        return 1;
     }
     let node = &tree.nodes[id as usize];
     let small = match depth {
@@ -72,9 +70,7 @@ fn open(
     };
     if node.is_leaf() || small {
         list.push(id);
-        return;
+        return 1;
     }
-    for child in tree.children(id) {
-        open(tree, bounds, corridor, depth, child, list);
-    }
+    tree.children(id).map(|child| open(tree, bounds, corridor, depth, child, list)).sum::<u64>() + 1
 }

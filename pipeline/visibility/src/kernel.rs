@@ -47,12 +47,16 @@ impl End {
     }
 }
 
-/// How often the kernel decided what.
+/// How much work deciding took.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Leaf pairs decided by testing candidates.
+    /// Node pairs the recursion looked at.
+    pub n_node_pairs: u64,
+    /// Candidate nodes tested against a pair.
+    pub n_candidates: u64,
+    /// Leaf pairs decided by testing discs.
     pub n_segments: u64,
-    /// Discs whose plane crosses the segment.
+    /// Discs whose plane crosses the segment between its ends.
     pub n_tests: u64,
     /// Of these, settled by integers because the float bound did not.
     pub n_exact: u64,
@@ -61,6 +65,8 @@ pub struct Counts {
 impl Counts {
     /// Adds up.
     pub fn add(&mut self, other: &Counts) {
+        self.n_node_pairs += other.n_node_pairs;
+        self.n_candidates += other.n_candidates;
         self.n_segments += other.n_segments;
         self.n_tests += other.n_tests;
         self.n_exact += other.n_exact;

@@ -110,6 +110,7 @@ impl<'a> Decider<'a> {
 
     /// Decides a pair given a list that holds all its blockers.
     fn pair(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
+        self.counts.n_node_pairs += 1;
         let Scene { tree, bounds, .. } = self.scene;
         let (bound_a, bound_b) = (&bounds[a as usize], &bounds[b as usize]);
         let facing = bounds::facing(bound_a, bound_b);
@@ -124,7 +125,8 @@ impl<'a> Decider<'a> {
         };
         let start = self.candidates.len();
         let corridor = Corridor::new(bound_a, bound_b);
-        refine(tree, bounds, &corridor, depth, &mut self.candidates, list);
+        self.counts.n_candidates +=
+            refine(tree, bounds, &corridor, depth, &mut self.candidates, list);
         let refined = start..self.candidates.len();
         let status = if refined.is_empty() && facing == Facing::All {
             Status::Visible

@@ -66,6 +66,14 @@ impl Cell {
     fn is_held(&self) -> bool {
         self.held.len() as u64 == self.n_points
     }
+
+    /// Gives which child of its parent the cell is, if it is one of `bin`.
+    fn slot(&self, bin: i8) -> u8 {
+        match self.level {
+            0 => bin.max(0) as u8,
+            level => morton::octant(self.codes.start, level),
+        }
+    }
 }
 
 impl<'a> Cutter<'a> {
@@ -77,7 +85,10 @@ impl<'a> Cutter<'a> {
             bin,
             tree: Tree::default(),
             open: Vec::new(),
-            pending: Cell { codes: morton::cell_range(0, 0), ..Cell::default() },
+            pending: Cell {
+                codes: morton::cell_range(0, 0),
+                ..Cell::default()
+            },
         }
     }
 
@@ -87,7 +98,10 @@ impl<'a> Cutter<'a> {
     /// Where the octree is damaged, the run was asked to stop, or ids run out.
     pub(super) fn take(&mut self, points: &[LeafPoint]) -> Result<(), OctreeError> {
         let bin = self.bin;
-        points.iter().filter(|p| p.bin == bin).try_for_each(|p| self.push(p))
+        points
+            .iter()
+            .filter(|p| p.bin == bin)
+            .try_for_each(|p| self.push(p))
     }
 
     /// Settles what is pending and gives the tree of the bin: its top node has no parent. Empty
@@ -193,7 +207,6 @@ impl<'a> Cutter<'a> {
         let mut surfel = points.surfel(self.rules.shape)?;
         surfel.first_code = cell.codes.start;
         surfel.level = cell.level;
-        surfel.bin = self.bin;
         surfel.node = id;
         self.tree.nodes[id as usize].n_points = surfel.n_points;
         self.tree.surfels.push(surfel);
@@ -231,16 +244,6 @@ impl<'a> Cutter<'a> {
         let (parent, n_points) = (node.parent, node.n_points);
         if parent != NO_PARENT {
             self.tree.nodes[parent as usize].n_points += n_points;
-        }
-    }
-}
-
-impl Cell {
-    /// Gives which child of its parent the cell is.
-    fn slot(&self, bin: i8) -> u8 {
-        match self.level {
-            0 => bin.max(0) as u8,
-            level => morton::octant(self.codes.start, level),
         }
     }
 }

@@ -3,12 +3,21 @@
 use std::sync::LazyLock;
 
 use pvmap_vmap::OctreeView;
+use pvmap_vmap::bytes::FieldReader;
 
 /// Steps of Newton's method for a fifth root of 0.008…1 from 1: the tenth already changes nothing.
 const NEWTON_STEPS: usize = 12;
 
 /// Linear light, full scale 65535, of every sRGB value of that scale.
-static LINEAR: LazyLock<Vec<u16>> = LazyLock::new(|| (0..=u16::MAX).map(linear).collect());
+static LINEAR: LazyLock<Box<Table>> = LazyLock::new(|| {
+    let mut table = Box::new([0; 1 << 16]);
+    (0..=u16::MAX)
+        .zip(table.iter_mut())
+        .for_each(|(srgb, light)| *light = linear(srgb));
+    table
+});
+
+type Table = [u16; 1 << 16];
 
 /// Reads the colour of point records.
 pub(super) struct Colors {
@@ -18,7 +27,7 @@ pub(super) struct Colors {
     source_at: Option<usize>,
     /// Bits used by each source, 0 without colour.
     depths: Vec<u32>,
-    linear: &'static [u16],
+    linear: &'static Table,
 }
 
 impl Colors {
@@ -35,11 +44,11 @@ impl Colors {
     /// Gives a record's colour in linear light; `None` where its source has none.
     #[inline]
     pub(super) fn linear(&self, record: &[u8]) -> Option<[u16; 3]> {
-        let source = self.source_at.map_or(0, |at| {
-            u32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]])
-        });
-        let stored =
-            [0, 2, 4].map(|i| u16::from_le_bytes([record[self.at + i], record[self.at + i + 1]]));
+        let source = self
+            .source_at
+            .map_or(0, |at| FieldReader::new(&record[at..]).u32());
+        let mut fields = FieldReader::new(&record[self.at..]);
+        let stored = [fields.u16(), fields.u16(), fields.u16()];
         // 257 · v is v repeated: the same share of full scale.
         let wide = match self.depths.get(source as usize)? {
             0 => return None,
@@ -82,10 +91,20 @@ mod tests {
     fn linear_light_follows_the_srgb_curve() {
         for v in 0..=u16::MAX {
             let c = f64::from(v) / 65535.0;
-            let light = if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) };
-            assert!((f64::from(linear(v)) - light * 65535.0).abs() < 0.5 + 1e-6, "{v}");
+            let light = if c <= 0.04045 {
+                c / 12.92
+            } else {
+                ((c + 0.055) / 1.055).powf(2.4)
+            };
+            assert!(
+                (f64::from(linear(v)) - light * 65535.0).abs() < 0.5 + 1e-6,
+                "{v}"
+            );
         }
-        assert_eq!([0, 257, 128 * 257, 65535].map(linear), [0, 20, 14146, 65535]);
+        assert_eq!(
+            [0, 257, 128 * 257, 65535].map(linear),
+            [0, 20, 14146, 65535]
+        );
     }
 
     #[test]

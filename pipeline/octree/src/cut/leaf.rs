@@ -43,17 +43,28 @@ struct Sums {
 impl<'a> LeafPoints<'a> {
     /// Takes points of `bin` in memory.
     pub(super) fn held(points: &'a [LeafPoint], bin: i8) -> LeafPoints<'a> {
-        LeafPoints { place: Place::Held(points), bin, quadrant: None }
+        LeafPoints {
+            place: Place::Held(points),
+            bin,
+            quadrant: None,
+        }
     }
 
     /// Takes the points of `bin` in a range of the octree.
     pub(super) fn stored(reader: &'a Reader<'a>, indices: Range<u64>, bin: i8) -> LeafPoints<'a> {
-        LeafPoints { place: Place::Stored(reader, indices), bin, quadrant: None }
+        LeafPoints {
+            place: Place::Stored(reader, indices),
+            bin,
+            quadrant: None,
+        }
     }
 
     /// Takes those of a quadrant only.
     pub(super) fn of_quadrant(&self, quadrant: u8) -> LeafPoints<'a> {
-        LeafPoints { quadrant: Some(quadrant), ..self.clone() }
+        LeafPoints {
+            quadrant: Some(quadrant),
+            ..self.clone()
+        }
     }
 
     /// Finds the quadrants into which a leaf of bins 0…5 is split: those of its points if one of
@@ -78,9 +89,10 @@ impl<'a> LeafPoints<'a> {
         Ok(if splits { quadrants } else { Vec::new() })
     }
 
-    /// Makes the surfel of one leaf or more points; those that [`spacing::fill`] completes have
-    /// the points' own box, radius and, from four points on, half spacing. Cell and node are not
-    /// filled in.
+    /// Makes the surfel of a leaf of at least one point.
+    ///
+    /// Its patch box and R² are those of the points alone, and its half spacing is 0 below four
+    /// points, until [`spacing::fill`] has seen the whole tree. The caller fills in cell and node.
     ///
     /// # Errors
     /// Those of [`Reader::each`].
@@ -120,7 +132,7 @@ impl<'a> LeafPoints<'a> {
             true => p.key.normal,
             false => canonical(p),
         })?;
-        // |Σn| < 0.1·Σ|n|, squared; both sides stay below 2^103.
+        // |Σn| < 0.1·Σ|n|, squared; both sides stay below 2^105.
         let size2: i128 = sum.iter().map(|&v| i128::from(v) * i128::from(v)).sum();
         let length = i128::from(sums.n_normals) * i128::from(NORMAL_LENGTH);
         let cancels = 100 * size2 < length * length;

@@ -1,9 +1,9 @@
 //! From the sorted points to the tree of nodes and surfels, at the level and capacity of a build.
 //!
-//! One pass reads the points in windows ([`points`]) and hands them to one [`cells`] cutter a bin
+//! One pass reads the points in windows (`points`) and hands them to one `cells` cutter a bin
 //! (one in all for `paper`), which holds no more than the points of one unsettled cell; the points
-//! of a settled leaf become a surfel ([`leaf`]), or several where their normals stray. What only
-//! the whole tree knows, the spacing of small leaves, is filled in at the end ([`spacing`]).
+//! of a settled leaf become a surfel (`leaf`), or several where their normals stray. What only
+//! the whole tree knows, the spacing of small leaves, is filled in at the end (`spacing`).
 //!
 //! Start reading at [`cut`].
 
@@ -108,8 +108,10 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
     let n_nodes = 1 + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
     let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
     let end = checked_id(n_nodes - 1)? + 1;
-    let mut tree =
-        Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };
+    let mut tree = Tree {
+        nodes: Vec::with_capacity(n_nodes),
+        surfels: Vec::with_capacity(n_surfels),
+    };
     let mut root = root_node(shape, n_points);
     root.end = end;
     // There are at most as many surfels as nodes.
@@ -125,10 +127,11 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
             node.end_surfel += first_surfel;
             node
         }));
-        tree.surfels.extend(part.surfels.into_iter().map(|mut surfel| {
-            surfel.node += first;
-            surfel
-        }));
+        tree.surfels
+            .extend(part.surfels.into_iter().map(|mut surfel| {
+                surfel.node += first;
+                surfel
+            }));
     }
     Ok(tree)
 }
@@ -138,5 +141,8 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
 /// # Errors
 /// Where ids run out: the ends of subtrees and [`NO_PARENT`] need the last two values.
 fn checked_id(n_nodes: usize) -> Result<u32, OctreeError> {
-    u32::try_from(n_nodes).ok().filter(|&id| id < NO_PARENT - 1).ok_or(OctreeError::TooManyNodes)
+    u32::try_from(n_nodes)
+        .ok()
+        .filter(|&id| id < NO_PARENT - 1)
+        .ok_or(OctreeError::TooManyNodes)
 }

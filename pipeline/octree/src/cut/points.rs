@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use pvmap_geometry::morton;
 use pvmap_store::Watch;
-use pvmap_vmap::octree::CODE_STRIDE;
+use pvmap_vmap::octree::{CODE_STRIDE, Point};
 use pvmap_vmap::tree::RoutingKey;
 use pvmap_vmap::{OctreeView, Shape};
 use rayon::prelude::*;
@@ -42,7 +42,12 @@ pub(super) struct Reader<'a> {
 impl<'a> Reader<'a> {
     /// Reads points for a tree of `shape`.
     pub(super) fn new(octree: &'a OctreeView<'a>, shape: Shape, watch: &'a dyn Watch) -> Self {
-        Reader { octree, colors: Colors::of(octree), shape, watch }
+        Reader {
+            octree,
+            colors: Colors::of(octree),
+            shape,
+            watch,
+        }
     }
 
     /// Visits the points of a range in order.
@@ -56,22 +61,28 @@ impl<'a> Reader<'a> {
     ) -> Result<(), OctreeError> {
         for first in range.clone().step_by(CODE_STRIDE as usize) {
             self.watch.check()?;
-            let points = self.octree.points(first, CODE_STRIDE.min(range.end - first))?;
+            let points = self
+                .octree
+                .points(first, CODE_STRIDE.min(range.end - first))?;
             for (index, point) in (first..).zip(points.iter()) {
-                let point = point?;
-                visit(LeafPoint {
-                    index,
-                    code: morton::encode(point.key.g),
-                    key: point.key,
-                    color: self.colors.as_ref().and_then(|c| c.linear(point.record)),
-                    bin: match self.shape {
-                        Shape::Paper => -1,
-                        Shape::Binned => point.key.bin() as i8,
-                    },
-                })?;
+                visit(self.leaf_point(index, &point?))?;
             }
         }
         Ok(())
+    }
+
+    #[inline]
+    fn leaf_point(&self, index: u64, point: &Point<'_>) -> LeafPoint {
+        LeafPoint {
+            index,
+            code: morton::encode(point.key.g),
+            key: point.key,
+            color: self.colors.as_ref().and_then(|c| c.linear(point.record)),
+            bin: match self.shape {
+                Shape::Paper => -1,
+                Shape::Binned => point.key.bin() as i8,
+            },
+        }
     }
 
     /// Names a point whose Morton code is less than that of a point before it.
@@ -79,9 +90,12 @@ impl<'a> Reader<'a> {
         let record_bytes = self.octree.schema().record_bytes();
         match self.octree.file().section("points", record_bytes as u32) {
             Err(error) => error.into(),
-            Ok(section) => {
-                section.broken(index * record_bytes as u64, "points are not in Morton order").into()
-            }
+            Ok(section) => section
+                .broken(
+                    index * record_bytes as u64,
+                    "points are not in Morton order",
+                )
+                .into(),
         }
     }
 }
@@ -94,7 +108,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Starts before the first of `n_total` points; holds at most `memory_bytes`, but one block.
+    /// Starts before the first of `n_total` points; holds at most `memory_bytes`, or one block.
     pub(super) fn new(memory_bytes: u64, n_total: u64) -> Window {
         let block_bytes = CODE_STRIDE * size_of::<LeafPoint>() as u64;
         let n_blocks = (memory_bytes / block_bytes).clamp(1, MAX_BLOCKS);
@@ -122,7 +136,10 @@ impl Window {
                 Ok(())
             })
         };
-        self.blocks.par_iter_mut().enumerate().try_for_each(decode)?;
+        self.blocks
+            .par_iter_mut()
+            .enumerate()
+            .try_for_each(decode)?;
         self.at = first..end;
         Ok(first < end)
     }

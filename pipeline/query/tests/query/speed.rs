@@ -1,8 +1,6 @@
 //! How fast warm answers are: a small run as a test, the real one with `PVMAP_SLOW=1`:
 //! `PVMAP_SLOW=1 cargo test --release -p pvmap-query speed -- --nocapture`.
 
-use std::time::Instant;
-
 use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_query::{Located, Map, Place, Snap};
@@ -13,11 +11,11 @@ use crate::common::{Cut, Parts, frame, grow, random_links, random_points, siblin
 #[test]
 fn speed_of_warm_answers() {
     let slow = std::env::var_os("PVMAP_SLOW").is_some();
-    let (n_points, n_asked) = if slow { (33_000, 1_000_000) } else { (500, 1_000) };
+    let (n_points, n_asked) = if slow { (50_000, 1_000_000) } else { (500, 1_000) };
     let mut rng = Rng::with_seed(10);
     let cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 8, few: 100 };
     let tree = grow(&random_points(&mut rng, n_points), cut);
-    let links = random_links(&mut rng, &tree, &siblings(&tree), 248);
+    let links = random_links(&mut rng, &tree, &siblings(&tree), 165);
     let file = Parts::new(&tree, &links, Profile::Patch, false).seal();
     let map = Map::open(&file).unwrap();
     let n_blocks = map.view().n_link_blocks();
@@ -39,9 +37,11 @@ fn speed_of_warm_answers() {
                 let normal = normal.filter(|n| *n != [0.0; 3]);
                 Place { position: frame().world_of(surfel.centroid), normal }
             })
+            // The last grid step's middle is beyond the cube.
+            .filter(|place| frame().grid_of_query(place.position).is_ok())
             .collect();
         let locate = |place| map.locate(place, Snap::Within(f64::INFINITY)).is_ok();
-        let found = rate(n_asked, || assert!(places.iter().all(locate)));
+        let found = rate(places.len(), || assert!(places.iter().all(locate)));
         println!("locate (normal: {with_normal}): {:.2} M/s warm", found / 1e6);
     }
 }
@@ -50,9 +50,14 @@ fn at(tree: &Tree, surfel: u32) -> Located {
     Located { surfel, node: tree.surfels[surfel as usize].node, distance: 0.0 }
 }
 
+/// TEMP
+fn cpu() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    text.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9
+}
 /// Gives how many of `n` answers come a second.
 fn rate(n: usize, work: impl FnOnce()) -> f64 {
-    let start = Instant::now();
+    let start = cpu();
     work();
-    n as f64 / start.elapsed().as_secs_f64()
+    n as f64 / (cpu() - start)
 }

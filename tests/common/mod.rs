@@ -1,0 +1,181 @@
+//! What the end-to-end tests share: small clouds, scan files of them, octrees and maps made
+//! through the facade.
+#![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
+
+use std::path::{Path, PathBuf};
+
+use fastrand::Rng;
+use pvmap::geometry::{PointBatch, Positions};
+use pvmap::scan::{LasOptions, LasWriter, PlyColumns, PlyWriter};
+use pvmap::vmap::tree::Nodes;
+use pvmap::vmap::{MapView, Node, Surfel};
+use pvmap::{BuildConfig, IngestRequest, Limits, Quiet};
+
+/// Few threads: the tests run side by side.
+pub const LIMITS: Limits = Limits { threads: 2, memory_bytes: 1 << 30 };
+
+/// Says whether the long form of a test is asked for.
+pub fn is_slow_run() -> bool {
+    std::env::var_os("PVMAP_SLOW_TESTS").is_some()
+}
+
+/// Points before they are a file.
+#[derive(Debug, Clone)]
+pub struct Cloud {
+    pub positions: Positions,
+    /// A normal each; zero or not finite where a point has none.
+    pub normals: Option<Vec<[f32; 3]>>,
+}
+
+impl Cloud {
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Says whether any point has a usable normal.
+    pub fn has_normals(&self) -> bool {
+        let usable = |n: &[f32; 3]| n.iter().all(|c| c.is_finite()) && n.iter().any(|&c| c != 0.0);
+        self.normals.as_ref().is_some_and(|normals| normals.iter().any(usable))
+    }
+
+    fn batch(&self) -> PointBatch {
+        PointBatch {
+            source: 0,
+            records: (0..self.len() as u64).collect(),
+            positions: self.positions.clone(),
+            color: None,
+            intensity: None,
+            classification: None,
+            gps_time: None,
+            normal: self.normals.clone(),
+        }
+    }
+
+    /// Writes a LAS file.
+    pub fn write_las(&self, path: &Path, scale: f64, offset: [f64; 3]) {
+        let normals = self.normals.is_some();
+        let options = LasOptions { compressed: false, scale: [scale; 3], offset, normals };
+        let mut writer = LasWriter::create(path, options).unwrap();
+        writer.write(&self.batch()).unwrap();
+        writer.finish().unwrap();
+    }
+
+    /// Writes a binary PLY file.
+    pub fn write_ply(&self, path: &Path) {
+        let double = matches!(self.positions, Positions::Double(_));
+        let columns =
+            PlyColumns { double, normal: self.normals.is_some(), ..PlyColumns::default() };
+        let mut writer = PlyWriter::create(path, self.len() as u64, columns).unwrap();
+        writer.write(&self.batch()).unwrap();
+        writer.finish().unwrap();
+    }
+
+    /// Keeps the points of some indices.
+    pub fn part(&self, indices: impl Iterator<Item = usize> + Clone) -> Cloud {
+        let positions = match &self.positions {
+            Positions::Lattice(v) => Positions::Lattice(indices.clone().map(|i| v[i]).collect()),
+            Positions::Single(v) => Positions::Single(indices.clone().map(|i| v[i]).collect()),
+            Positions::Double(v) => Positions::Double(indices.clone().map(|i| v[i]).collect()),
+        };
+        let normals = self.normals.as_ref().map(|v| indices.map(|i| v[i]).collect());
+        Cloud { positions, normals }
+    }
+}
+
+/// Makes 5 to 400 points of a random kind on a lattice of a random width, with normals on most.
+///
+/// Lattices of a few steps a side bring coincident points, shared centroids and ties; wide ones
+/// bring the general case and the largest numbers.
+pub fn random_cloud(rng: &mut Rng) -> Cloud {
+    let side = if rng.bool() { rng.i32(1..12) } else { 1 << rng.u32(5..30) };
+    let n = 5 + rng.usize(..396).min(rng.usize(..396));
+    let kind = rng.u8(..5);
+    let jitter = [0.0, 0.02, 0.8][rng.usize(..3)];
+    let missing = [0, 0, 1, 8][rng.usize(..4)];
+    let mut positions = Vec::with_capacity(n);
+    let mut normals = Vec::with_capacity(n);
+    for _ in 0..n {
+        let (p, normal) = random_point(rng, kind, side);
+        positions.push(p);
+        let shaken = normal.map(|c| c + jitter * (rng.f32() - 0.5));
+        let broken = if rng.bool() { [0.0; 3] } else { [f32::NAN, 0.0, 1.0] };
+        normals.push(if rng.u8(..16) < missing { broken } else { shaken });
+    }
+    Cloud { positions: Positions::Lattice(positions), normals: Some(normals) }
+}
+
+/// Draws a point of a kind of scene in a cube, with the normal of the surface it is on.
+fn random_point(rng: &mut Rng, kind: u8, side: i32) -> ([i32; 3], [f32; 3]) {
+    let mut p = [0; 3].map(|_| rng.i32(0..=side));
+    let mut n = [0.0; 3];
+    let half = side / 2;
+    match kind {
+        // Noise.
+        0 => n = [0; 3].map(|_| rng.f32() - 0.5),
+        // Two walls that face each other, and a smaller one with both faces between them.
+        1 => {
+            let wall = rng.usize(..4);
+            p[0] = [0, side, half, half][wall];
+            n[0] = [1.0, -1.0, 1.0, -1.0][wall];
+            if wall > 1 {
+                p[1] /= 2;
+            }
+        }
+        // A room, its faces inward, around a small box, its faces outward.
+        2 => {
+            let (axis, top, inner) = (rng.usize(..3), rng.bool(), rng.u8(..3) == 0);
+            p[axis] = if top { side } else { 0 };
+            n[axis] = if top == inner { 1.0 } else { -1.0 };
+            if inner {
+                p = p.map(|v| side / 3 + v / 3);
+            }
+        }
+        // A corner of three walls.
+        3 => {
+            let axis = rng.usize(..3);
+            p[axis] = 0;
+            n[axis] = 1.0;
+        }
+        // A slope over a floor.
+        _ if rng.bool() => {
+            p[2] = (p[0] + p[1]) / 2;
+            n = [1.0, 1.0, -2.0];
+        }
+        _ => {
+            p[2] = 0;
+            n[2] = 1.0;
+        }
+    }
+    (p, n)
+}
+
+/// Ingests scans into a folder, with limits.
+pub fn ingest_with(
+    scans: &[PathBuf],
+    folder: &Path,
+    limits: &Limits,
+    set: impl FnOnce(&mut IngestRequest),
+) -> PathBuf {
+    let octree = folder.join("scan.octree");
+    let mut request = IngestRequest::new(scans.iter().cloned(), octree.clone());
+    request.overwrite = true;
+    set(&mut request);
+    pvmap::ingest(&request, limits, &Quiet).unwrap();
+    octree
+}
+
+/// Builds a map and gives its bytes.
+pub fn build_with(octree: &Path, config: &BuildConfig, limits: &Limits) -> Vec<u8> {
+    let output = octree.with_extension("vmap");
+    pvmap::build(octree, &output, config, limits, &Quiet).unwrap();
+    std::fs::read(output).unwrap()
+}
+
+/// Reads all nodes, surfels and links of a map.
+pub fn contents(view: &MapView<'_>) -> (Vec<Node>, Vec<Surfel>, Vec<(u32, u32)>) {
+    let nodes = (0..view.n_nodes()).map(|id| view.node(id).unwrap()).collect();
+    let surfels = (0..view.summary().n_surfels).map(|id| view.surfel(id).unwrap()).collect();
+    let lists = (0..view.n_link_blocks()).map(|i| view.link_lists(i).unwrap());
+    let links = lists.flat_map(|l| l.iter().collect::<Vec<_>>()).collect();
+    (nodes, surfels, links)
+}
