@@ -183,8 +183,7 @@ impl Run {
     /// Demands a warning with these words in it.
     #[track_caller]
     pub fn warns(self, words: &[&str]) -> Run {
-        let mut warnings =
-            self.stderr.lines().filter_map(|l| l.strip_prefix("pvmap: warning: "));
+        let mut warnings = self.stderr.lines().filter_map(|l| l.strip_prefix("pvmap: warning: "));
         let found = warnings.any(|l| words.iter().all(|w| l.contains(w)));
         assert!(found, "no warning with {words:?} in: {}", self.stderr);
         self
@@ -201,9 +200,7 @@ impl Run {
 }
 
 /// Reads a pipe to its end on a thread of its own.
-fn listen(
-    pipe: Option<impl Read + Send + 'static>,
-) -> std::thread::JoinHandle<String> {
+fn listen(pipe: Option<impl Read + Send + 'static>) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
         pipe.map(|mut pipe| pipe.read_to_end(&mut bytes).unwrap());

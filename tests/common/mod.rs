@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use fastrand::Rng;
 use pvmap::geometry::{PointBatch, Positions};
-use pvmap::scan::{LasOptions, LasWriter, PlyColumns, PlyWriter};
+use pvmap::scan::{ColorRange, LasOptions, LasWriter, PlyColumns, PlyWriter};
+use pvmap::scene::{Scene, SceneKind};
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{MapView, Node, Surfel};
 use pvmap::{BuildConfig, IngestRequest, Limits, Quiet};
@@ -25,6 +26,8 @@ pub struct Cloud {
     pub positions: Positions,
     /// A normal each; zero or not finite where a point has none.
     pub normals: Option<Vec<[f32; 3]>>,
+    /// Red, green, blue of 8 bits.
+    pub colors: Option<Vec<[u16; 3]>>,
 }
 
 impl Cloud {
@@ -43,7 +46,7 @@ impl Cloud {
             source: 0,
             records: (0..self.len() as u64).collect(),
             positions: self.positions.clone(),
-            color: None,
+            color: self.colors.clone(),
             intensity: None,
             classification: None,
             gps_time: None,
@@ -63,8 +66,9 @@ impl Cloud {
     /// Writes a binary PLY file.
     pub fn write_ply(&self, path: &Path) {
         let double = matches!(self.positions, Positions::Double(_));
-        let columns =
-            PlyColumns { double, normal: self.normals.is_some(), ..PlyColumns::default() };
+        let normal = self.normals.is_some();
+        let color = self.colors.is_some().then_some(ColorRange::Eight);
+        let columns = PlyColumns { double, normal, color, ..PlyColumns::default() };
         let mut writer = PlyWriter::create(path, self.len() as u64, columns).unwrap();
         writer.write(&self.batch()).unwrap();
         writer.finish().unwrap();
@@ -77,8 +81,9 @@ impl Cloud {
             Positions::Single(v) => Positions::Single(indices.clone().map(|i| v[i]).collect()),
             Positions::Double(v) => Positions::Double(indices.clone().map(|i| v[i]).collect()),
         };
-        let normals = self.normals.as_ref().map(|v| indices.map(|i| v[i]).collect());
-        Cloud { positions, normals }
+        let normals = self.normals.as_ref().map(|v| indices.clone().map(|i| v[i]).collect());
+        let colors = self.colors.as_ref().map(|v| indices.map(|i| v[i]).collect());
+        Cloud { positions, normals, colors }
     }
 }
 
@@ -101,7 +106,20 @@ pub fn random_cloud(rng: &mut Rng) -> Cloud {
         let broken = if rng.bool() { [0.0; 3] } else { [f32::NAN, 0.0, 1.0] };
         normals.push(if rng.u8(..16) < missing { broken } else { shaken });
     }
-    Cloud { positions: Positions::Lattice(positions), normals: Some(normals) }
+    Cloud { positions: Positions::Lattice(positions), normals: Some(normals), colors: None }
+}
+
+/// Takes points of the furnished room, with normals and colours, on a lattice of a tenth of a
+/// millimetre.
+pub fn room_cloud(n: u64) -> Cloud {
+    let scene = Scene::new(SceneKind::Furnished, 1);
+    let samples: Vec<_> = (0..n).map(|i| scene.points(n).at(i)).collect();
+    let steps = |p: [f64; 3]| p.map(|c| (c / 0.0001).round() as i32);
+    Cloud {
+        positions: Positions::Lattice(samples.iter().map(|s| steps(s.position)).collect()),
+        normals: Some(samples.iter().map(|s| s.normal).collect()),
+        colors: Some(samples.iter().map(|s| s.color.map(u16::from)).collect()),
+    }
 }
 
 /// Draws a point of a kind of scene in a cube, with the normal of the surface it is on.

@@ -3,32 +3,54 @@
 //! The hull of two axis-aligned boxes is cut out by its bounding box and by up to twelve planes,
 //! each parallel to an axis, that join a corner edge of one box to the like edge of the other
 //! (Haines and Wallace's shaft). Every number is an integer below 2^50 held in an f64, so the
-//! tests are exact although they are written in floats.
+//! tests are exact although they are written in floats, which the processor does many at a time.
 
 use crate::bounds::Box3;
+
+/// Most planes that join corner edges.
+const N_SIDES: usize = 12;
+
+/// A box by the sum and the difference of its corners: twice its middle, twice its half sides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Doubled {
+    /// max + min, an axis each.
+    pub sum: [f64; 3],
+    /// max - min, an axis each.
+    pub size: [f64; 3],
+}
+
+impl Doubled {
+    /// Doubles a box. Its corners are below 2^24.
+    #[inline(always)]
+    pub fn new(b: &Box3) -> Doubled {
+        let (low, high) = (b.min, b.max);
+        Doubled {
+            sum: [(high[0] + low[0]).into(), (high[1] + low[1]).into(), (high[2] + low[2]).into()],
+            size: [(high[0] - low[0]).into(), (high[1] - low[1]).into(), (high[2] - low[2]).into()],
+        }
+    }
+}
 
 /// The convex hull of two boxes.
 #[derive(Debug, Clone)]
 pub struct Shaft {
-    around: Box3,
-    sides: [Side; 12],
-    n_sides: usize,
-}
-
-/// A half plane of one projection: p·x[u] + q·x[v] ≤ r holds inside the shaft.
-#[derive(Debug, Clone, Copy, Default)]
-struct Side {
-    u: u8,
-    v: u8,
-    p: f64,
-    q: f64,
-    r: f64,
+    /// The box around both.
+    around: Doubled,
+    /// Outward normals of the sides, a column an axis; sides that are not there are zero.
+    normals: [[f64; N_SIDES]; 3],
+    /// Twice the offsets: n·x ≤ r holds inside.
+    offsets: [f64; N_SIDES],
 }
 
 impl Shaft {
     /// Spans the shaft between two boxes, neither of them empty.
     pub fn new(a: &Box3, b: &Box3) -> Shaft {
-        let mut shaft = Shaft { around: a.join(b), sides: [Side::default(); 12], n_sides: 0 };
+        let mut shaft = Shaft {
+            around: Doubled::new(&a.join(b)),
+            normals: [[0.0; N_SIDES]; 3],
+            offsets: [0.0; N_SIDES],
+        };
+        let mut side = 0;
         for (u, v) in [(0, 1), (1, 2), (2, 0)] {
             for (outer_u, outer_v) in [(-1, -1), (-1, 1), (1, -1), (1, 1)] {
                 let (au, av) = (corner(a, u, outer_u), corner(a, v, outer_v));
@@ -39,9 +61,10 @@ impl Shaft {
                 if (du > 0 && dv < 0) || (du < 0 && dv > 0) {
                     let p = f64::from(outer_u * dv.abs());
                     let q = f64::from(outer_v * du.abs());
-                    let r = p * f64::from(au) + q * f64::from(av);
-                    shaft.sides[shaft.n_sides] = Side { u: u as u8, v: v as u8, p, q, r };
-                    shaft.n_sides += 1;
+                    shaft.normals[u][side] = p;
+                    shaft.normals[v][side] = q;
+                    shaft.offsets[side] = 2.0 * (p * f64::from(au) + q * f64::from(av));
+                    side += 1;
                 }
             }
         }
@@ -49,19 +72,25 @@ impl Shaft {
     }
 
     /// Proves that a box and the shaft have no place in common; `false` proves nothing.
-    #[inline]
-    pub fn misses(&self, other: &Box3) -> bool {
-        for i in 0..3 {
-            if other.min[i] > self.around.max[i] || other.max[i] < self.around.min[i] {
-                return true;
-            }
+    #[inline(always)]
+    pub fn misses(&self, other: &Doubled) -> bool {
+        let ([x, y, z], [dx, dy, dz]) = (other.sum, other.size);
+        let (sum, size) = (&self.around.sum, &self.around.size);
+        let apart = ((x - sum[0]).abs() > dx + size[0])
+            | ((y - sum[1]).abs() > dy + size[1])
+            | ((z - sum[2]).abs() > dz + size[2]);
+        if apart {
+            return true;
         }
-        self.sides[..self.n_sides].iter().any(|side| {
-            let (u, v) = (usize::from(side.u), usize::from(side.v));
-            let x = if side.p > 0.0 { other.min[u] } else { other.max[u] };
-            let y = if side.q > 0.0 { other.min[v] } else { other.max[v] };
-            side.p * f64::from(x) + side.q * f64::from(y) > side.r
-        })
+        // The corner of the box farthest inside each plane, all planes at once.
+        let [nx, ny, nz] = &self.normals;
+        let mut n_outside = 0u32;
+        for i in 0..N_SIDES {
+            let middle = nx[i] * x + ny[i] * y + nz[i] * z;
+            let half = nx[i].abs() * dx + ny[i].abs() * dy + nz[i].abs() * dz;
+            n_outside += u32::from(middle - half > self.offsets[i]);
+        }
+        n_outside > 0
     }
 }
 
@@ -92,8 +121,8 @@ mod tests {
                 [0, 1, 2].map(|i| b.min[i] + ((b.max[i] - b.min[i]) as f64 * s[i]).round() as i32)
             };
             if segment_meets(inside(&a, s), inside(&b, t), &k) {
-                prop_assert!(!Shaft::new(&a, &b).misses(&k));
-                prop_assert!(!Shaft::new(&b, &a).misses(&k));
+                prop_assert!(!Shaft::new(&a, &b).misses(&Doubled::new(&k)));
+                prop_assert!(!Shaft::new(&b, &a).misses(&Doubled::new(&k)));
             }
         }
 
@@ -103,7 +132,7 @@ mod tests {
         ) {
             // Between single places the shaft is the segment, and its planes are all the
             // separating axes of a segment and a box.
-            let missed = Shaft::new(&a, &b).misses(&k);
+            let missed = Shaft::new(&a, &b).misses(&Doubled::new(&k));
             prop_assert_eq!(missed, !segment_meets(a.min, b.min, &k));
         }
     }

@@ -76,7 +76,7 @@ impl Map<'_> {
     /// With a normal the place is routed as a stored point would be. Without one, or where no
     /// leaf takes such a point, the best leaf among those whose closed cell holds the place
     /// answers, else the best of all: least distance, then the normal closest to the given one,
-    /// then the nearest plane, then the lowest id.
+    /// then the nearest plane, then the lowest id. The snap limit holds for a routed leaf too.
     ///
     /// # Errors
     /// Where the place is outside the cube, its normal is no direction, the snap limit is no
@@ -145,9 +145,7 @@ impl Map<'_> {
     ) -> Result<Option<Found>, FormatError> {
         let mut best: Option<Found> = None;
         let mut open = BinaryHeap::new();
-        if self.view().n_nodes() > 0 {
-            open.extend(bound(&self.view().node(0)?).map(|b| Reverse((b, 0))));
-        }
+        open.extend(self.root()?.and_then(|root| bound(&root)).map(|b| Reverse((b, 0))));
         while let Some(Reverse((least, id))) = open.pop() {
             // Not `>=`: among leaves at the same distance the rest of the order decides.
             if best.is_some_and(|best| least > best.fit.distance2) {

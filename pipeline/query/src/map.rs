@@ -61,10 +61,20 @@ impl<'a> Map<'a> {
         self.from_given_pairs
     }
 
+    /// Reads the root, checking that it is the whole cube; none in a map without points.
+    pub(crate) fn root(&self) -> Result<Option<Node>, FormatError> {
+        if self.view.n_nodes() == 0 {
+            return Ok(None);
+        }
+        let root = self.view.node(0)?;
+        let whole = (root.level, root.first_code) == (0, 0);
+        whole.then_some(Some(root)).ok_or_else(|| self.broken_node(0, "is not the whole cube"))
+    }
+
     /// Walks the children of a node in slot order, checking what FORMAT.md says of them.
     ///
     /// Each node is child of one node only and sits at the depth its level allows, so that a walk
-    /// over any file meets each node at most once, at most [`MAX_PATH`] deep.
+    /// from the root of any file meets each node at most once, at most [`MAX_PATH`] deep.
     pub(crate) fn children(
         &self,
         id: u32,
@@ -125,6 +135,7 @@ pub(crate) fn points_box(surfel: &Surfel) -> Box3 {
 }
 
 /// Gives the box of the grid places in a cell, [g0, g0 + side - 1].
+#[inline]
 pub(crate) fn cell_box(first_code: u64, level: u8) -> Box3 {
     let min = morton::decode(first_code).map(|v| v as i32);
     let side = 1 << (22 - level);

@@ -12,7 +12,7 @@ use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
-use crate::candidates::{Corridor, Depth, refine};
+use crate::candidates::{Corridor, Depth, Occluder, refine};
 use crate::kernel::{Blockers, Counts, End};
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
@@ -35,6 +35,8 @@ pub struct Scene<'a> {
     pub discs: &'a [Disc],
     /// Bounds of every node.
     pub bounds: &'a [Bounds],
+    /// Every node as the culling sees it.
+    pub occluders: &'a [Occluder],
     /// How discs block.
     pub profile: Profile,
 }
@@ -111,7 +113,7 @@ impl<'a> Decider<'a> {
     /// Decides a pair given a list that holds all its blockers.
     fn pair(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         self.counts.n_node_pairs += 1;
-        let Scene { tree, bounds, .. } = self.scene;
+        let Scene { tree, bounds, occluders, .. } = self.scene;
         let (bound_a, bound_b) = (&bounds[a as usize], &bounds[b as usize]);
         let facing = bounds::facing(bound_a, bound_b);
         if facing == Facing::Never {
@@ -125,8 +127,7 @@ impl<'a> Decider<'a> {
         };
         let start = self.candidates.len();
         let corridor = Corridor::new(bound_a, bound_b);
-        self.counts.n_candidates +=
-            refine(tree, bounds, &corridor, depth, &mut self.candidates, list);
+        self.counts.n_candidates += refine(occluders, &corridor, depth, &mut self.candidates, list);
         let refined = start..self.candidates.len();
         let status = if refined.is_empty() && facing == Facing::All {
             Status::Visible

@@ -189,22 +189,38 @@ pub(crate) struct Parts {
     pub(crate) sections: Vec<(&'static str, u32, Vec<u8>)>,
 }
 
+/// What decides a map's sections besides tree and links.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct About {
+    pub(crate) profile: Profile,
+    /// Whether the map says that it was built from given pairs.
+    pub(crate) given: bool,
+    pub(crate) frame: Frame,
+    pub(crate) links_per_frame: usize,
+}
+
+impl Default for About {
+    fn default() -> About {
+        let profile = Profile::Patch;
+        About { profile, given: false, frame: frame(), links_per_frame: usize::MAX }
+    }
+}
+
 impl Parts {
     /// Makes the sections of a map.
-    pub(crate) fn new(tree: &Tree, links: &[(u32, u32)], profile: Profile, given: bool) -> Parts {
-        Parts::framed(tree, links, profile, given, frame())
-    }
-
-    pub(crate) fn framed(
-        tree: &Tree,
-        links: &[(u32, u32)],
-        profile: Profile,
-        given: bool,
-        frame: Frame,
-    ) -> Parts {
-        let mut encoder = LinkEncoder::new().unwrap();
-        let mut frames: Vec<_> = links.iter().filter_map(|&l| encoder.push(l).unwrap()).collect();
-        frames.extend(encoder.finish().unwrap());
+    pub(crate) fn new(tree: &Tree, links: &[(u32, u32)], about: About) -> Parts {
+        let About { profile, given, frame, links_per_frame } = about;
+        let mut frames: Vec<(LinkBlock, Vec<u8>)> = Vec::new();
+        for links in links.chunks(links_per_frame) {
+            let mut encoder = LinkEncoder::new().unwrap();
+            frames.extend(links.iter().filter_map(|&l| encoder.push(l).unwrap()));
+            frames.extend(encoder.finish().unwrap());
+        }
+        let mut offset_bytes = 0;
+        for (block, bytes) in &mut frames {
+            block.offset_bytes = offset_bytes;
+            offset_bytes += bytes.len() as u64;
+        }
         let summary = MapSummary {
             n_points: tree.nodes.first().map_or(0, |root| root.n_points),
             n_nodes: tree.nodes.len() as u32,

@@ -1,6 +1,6 @@
 //! `locate` against a look at every leaf, for random places. [V-8]
 
-use crate::common::{Cut, Parts, frame, grow, random_points};
+use crate::common::{About, Cut, Parts, frame, grow, random_points};
 use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Frame, GridPoint, grid, normal};
@@ -67,7 +67,7 @@ fn v8_the_surfel_found_is_the_best_of_all() {
         };
         let n_points = rng.usize(2..400);
         let tree = grow(&random_points(&mut rng, n_points), cut);
-        let file = Parts::new(&tree, &[], profile, false).seal();
+        let file = Parts::new(&tree, &[], About { profile, ..About::default() }).seal();
         let map = Map::open(&file).unwrap();
         let frame = frame();
         for _ in 0..400 {
@@ -110,7 +110,7 @@ fn v8_a_stored_point_leads_to_its_own_leaf() {
     let cut = Cut { shape: Shape::Binned, leaf_capacity: 3, max_level: 12, few: 9 };
     let points = random_points(&mut rng, 3000);
     let tree = grow(&points, cut);
-    let file = Parts::new(&tree, &[], Profile::Patch, false).seal();
+    let file = Parts::new(&tree, &[], About::default()).seal();
     let map = Map::open(&file).unwrap();
     for (g, n) in points.into_iter().filter(|p| p.1 != [0; 3]) {
         let position = frame().world_of(g);
@@ -129,7 +129,7 @@ fn v8_what_cannot_be_located_says_why() {
     let cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 8, few: 2 };
     let frame = Frame::of_world([10.0; 3], [12.0; 3]);
     let tree = grow(&points, cut);
-    let file = Parts::framed(&tree, &[], Profile::Patch, false, frame).seal();
+    let file = Parts::new(&tree, &[], About { frame, ..About::default() }).seal();
     let map = Map::open(&file).unwrap();
     let ask = |position, normal, snap| map.locate(&Place { position, normal }, snap).unwrap_err();
     for x in [9.99, 12.01, f64::NAN, f64::INFINITY] {
@@ -154,7 +154,7 @@ fn v8_what_cannot_be_located_says_why() {
 
 #[test]
 fn a_scan_without_points_has_no_surface() {
-    let file = Parts::new(&Tree::default(), &[], Profile::Patch, false).seal();
+    let file = Parts::new(&Tree::default(), &[], About::default()).seal();
     let map = Map::open(&file).unwrap();
     let position = frame().world_of([5; 3]);
     let error = map.locate(&Place { position, normal: None }, Snap::default()).unwrap_err();

@@ -1,8 +1,7 @@
 //! `pair` against the links themselves: every leaf pair of random trees. [V-5], [V-6]
 
-use crate::common::{Cut, Parts, grow, random_links, random_points, siblings};
+use crate::common::{About, Cut, Parts, grow, random_links, random_points, siblings};
 use fastrand::Rng;
-use pvmap_geometry::disc::Profile;
 use pvmap_query::{Link, Located, Map, PairAnswer};
 use pvmap_vmap::{Shape, Tree};
 
@@ -64,7 +63,7 @@ fn v6_every_leaf_pair_has_the_answer_of_its_link() {
         let starts = if given { given_pairs(&mut rng, &tree) } else { siblings(&tree) };
         let deeper = rng.u8(100..);
         let links = random_links(&mut rng, &tree, &starts, deeper);
-        let file = Parts::new(&tree, &links, Profile::Patch, given).seal();
+        let file = Parts::new(&tree, &links, About { given, ..About::default() }).seal();
         let map = Map::open(&file).unwrap();
         assert_eq!(map.view().verify(), Ok(()));
         assert_eq!(map.from_given_pairs(), given);
@@ -82,11 +81,11 @@ fn v6_every_leaf_pair_has_the_answer_of_its_link() {
 fn d11_frames_beyond_the_cache_are_decoded_again() {
     let mut rng = Rng::with_seed(2);
     let cut = Cut { shape: Shape::Paper, leaf_capacity: 0, max_level: 21, few: 1 };
-    let tree = grow(&random_points(&mut rng, 2500), cut);
+    let tree = grow(&random_points(&mut rng, 500), cut);
     let links = random_links(&mut rng, &tree, &siblings(&tree), 255);
-    let file = Parts::new(&tree, &links, Profile::Patch, false).seal();
+    let file = Parts::new(&tree, &links, About { links_per_frame: 50, ..About::default() }).seal();
     let map = Map::open(&file).unwrap();
-    assert!(map.view().n_link_blocks() > 10);
+    assert!(map.view().n_link_blocks() > 600, "twice the frames that are kept");
     std::thread::scope(|scope| {
         for thread in 0..4 {
             let (map, tree, links) = (&map, &tree, &links);

@@ -1,12 +1,13 @@
 //! How fast warm answers are: a small run as a test, the real one with `PVMAP_SLOW=1`:
 //! `PVMAP_SLOW=1 cargo test --release -p pvmap-query speed -- --nocapture`.
 
+use std::time::Instant;
+
 use fastrand::Rng;
-use pvmap_geometry::disc::Profile;
 use pvmap_query::{Located, Map, Place, Snap};
 use pvmap_vmap::{Shape, Tree};
 
-use crate::common::{Cut, Parts, frame, grow, random_links, random_points, siblings};
+use crate::common::{About, Cut, Parts, frame, grow, random_links, random_points, siblings};
 
 #[test]
 fn speed_of_warm_answers() {
@@ -16,7 +17,7 @@ fn speed_of_warm_answers() {
     let cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 8, few: 100 };
     let tree = grow(&random_points(&mut rng, n_points), cut);
     let links = random_links(&mut rng, &tree, &siblings(&tree), 165);
-    let file = Parts::new(&tree, &links, Profile::Patch, false).seal();
+    let file = Parts::new(&tree, &links, About::default()).seal();
     let map = Map::open(&file).unwrap();
     let n_blocks = map.view().n_link_blocks();
     println!("{} leaves, {} links in {n_blocks} frames", tree.surfels.len(), links.len());
@@ -50,14 +51,9 @@ fn at(tree: &Tree, surfel: u32) -> Located {
     Located { surfel, node: tree.surfels[surfel as usize].node, distance: 0.0 }
 }
 
-/// TEMP
-fn cpu() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
-    text.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9
-}
 /// Gives how many of `n` answers come a second.
 fn rate(n: usize, work: impl FnOnce()) -> f64 {
-    let start = cpu();
+    let start = Instant::now();
     work();
-    n as f64 / (cpu() - start)
+    n as f64 / start.elapsed().as_secs_f64()
 }

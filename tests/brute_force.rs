@@ -1,0 +1,365 @@
+//! Maps against brute force: every link, every status and every leaf of random small trees,
+//! recomputed from the surfels and nodes of the finished file by the words of DESIGN.md.
+//!
+//! 200 trees in a plain run, 2 000 where PVMAP_SLOW_TESTS is set.
+
+mod common;
+#[path = "common/model.rs"]
+mod model;
+
+use std::collections::BTreeSet;
+use std::ops::AddAssign;
+use std::path::Path;
+
+use fastrand::Rng;
+use pvmap::geometry::Positions;
+use pvmap::geometry::disc::Profile;
+use pvmap::query::{Located, Map};
+use pvmap::vmap::{MapView, OctreeView, Shape, Split};
+use pvmap::{BuildConfig, Error, Limits, NormalsFrom, Orientation, Quiet};
+use rayon::prelude::*;
+
+use crate::common::{Cloud, build_with, contents, ingest_with, is_slow_run, random_cloud};
+use crate::model::{Leaf, Model, Status, holds_point};
+
+/// What the trees of a run had in them: a test of nothing must not pass.
+#[derive(Debug, Default, Clone, Copy)]
+struct Seen {
+    leaf_pairs: u64,
+    visible: u64,
+    blocked: u64,
+    links: u64,
+    links_above_leaves: u64,
+    partial: u64,
+    node_pairs: u64,
+    two_sided: u64,
+    one_sided: u64,
+    zero_normals: u64,
+    quadrants: u64,
+}
+
+impl AddAssign for Seen {
+    fn add_assign(&mut self, other: Seen) {
+        self.leaf_pairs += other.leaf_pairs;
+        self.visible += other.visible;
+        self.blocked += other.blocked;
+        self.links += other.links;
+        self.links_above_leaves += other.links_above_leaves;
+        self.partial += other.partial;
+        self.node_pairs += other.node_pairs;
+        self.two_sided += other.two_sided;
+        self.one_sided += other.one_sided;
+        self.zero_normals += other.zero_normals;
+        self.quadrants += other.quadrants;
+    }
+}
+
+fn sum(parts: impl ParallelIterator<Item = Seen>) -> Seen {
+    let add = |mut a: Seen, b: Seen| {
+        a += b;
+        a
+    };
+    parts.reduce(Seen::default, add)
+}
+
+/// Writes a cloud as LAS, single PLY or double PLY.
+fn write(rng: &mut Rng, mut cloud: Cloud, folder: &Path) -> std::path::PathBuf {
+    let Positions::Lattice(steps) = &cloud.positions else { unreachable!("made on a lattice") };
+    match rng.u8(..3) {
+        0 => {
+            let path = folder.join("scan.las");
+            let scale = [0.001, 0.01, 0.25, 1.0][rng.usize(..4)];
+            cloud.write_las(&path, scale, [0.0, 512_345.25, -3.0]);
+            path
+        }
+        format => {
+            let path = folder.join("scan.ply");
+            cloud.positions = match format {
+                1 => Positions::Single(steps.iter().map(|p| p.map(|c| c as f32 * 0.1)).collect()),
+                _ => Positions::Double(
+                    steps.iter().map(|p| p.map(|c| f64::from(c) * 0.001 + 1e5)).collect(),
+                ),
+            };
+            cloud.write_ply(&path);
+            path
+        }
+    }
+}
+
+/// Makes an octree of a random cloud.
+fn random_octree(rng: &mut Rng, folder: &Path, limits: &Limits) -> std::path::PathBuf {
+    let mut cloud = random_cloud(rng);
+    if rng.u8(..8) == 0 {
+        cloud.normals = None;
+    }
+    let normals = match rng.u8(..8) {
+        0 => NormalsFrom::None,
+        1 | 2 => NormalsFrom::Estimate,
+        3 => NormalsFrom::Auto,
+        _ if cloud.has_normals() => NormalsFrom::File,
+        _ => NormalsFrom::Auto,
+    };
+    let orientation = match rng.u8(..4) {
+        0 => Orientation::Up,
+        1 => Orientation::Sensors(vec![[rng.f64(), rng.f64() + 512_345.0, 0.5]]),
+        _ => Orientation::Unknown,
+    };
+    let scan = write(rng, cloud, folder);
+    ingest_with(&[scan], folder, limits, |request| {
+        request.normals = normals;
+        request.orientation = orientation;
+    })
+}
+
+fn random_config(rng: &mut Rng) -> BuildConfig {
+    BuildConfig {
+        max_level: rng.u8(1..=6),
+        leaf_capacity: if rng.u8(..3) == 0 { 0 } else { rng.u64(1..=8) },
+        tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
+        profile: if rng.bool() { Profile::Patch } else { Profile::Paper },
+        interaction: None,
+    }
+}
+
+/// One random tree from a scan file to its map, all of it checked.
+fn check_tree(seed: u64) -> Seen {
+    let mut rng = Rng::with_seed(seed);
+    let folder = tempfile::tempdir().unwrap();
+    let limits = Limits { threads: rng.usize(1..=2), memory_bytes: 64 << 20 };
+    let octree = random_octree(&mut rng, folder.path(), &limits);
+    let config = random_config(&mut rng);
+    let bytes = build_with(&octree, &config, &limits);
+    let view = MapView::open(&bytes).unwrap();
+    view.verify().unwrap();
+    let (nodes, surfels, links) = contents(&view);
+    let model = Model::new(&nodes, &surfels, config.profile);
+    let note = format!("seed {seed}, {config:?}");
+    check_cut(&octree, &model, &config, &note);
+    let starts = model.sibling_pairs();
+    let expected = model.links_from(&starts);
+    check_links(&model, &links, &expected, &note);
+    check_answers(&bytes, &model, &links, &note);
+    let summary = view.summary();
+    assert_eq!(summary.n_links, links.len() as u64, "{note}");
+    assert_eq!(summary.n_visible_pairs, u128::from(model.n_visible()), "{note}");
+    census(&model, &links)
+}
+
+/// Compares the links, what they cover and the status of every pair of disjoint nodes.
+fn check_links(
+    model: &Model,
+    links: &[(u32, u32)],
+    expected: &BTreeSet<(usize, usize)>,
+    note: &str,
+) {
+    let found: Vec<(usize, usize)> = links.iter().map(|&(a, b)| (a as usize, b as usize)).collect();
+    assert!(found.iter().eq(expected), "wrong links: {note}");
+    let n = model.surfels.len();
+    let mut covered = vec![vec![0u32; n]; n];
+    for &(a, b) in &found {
+        for &x in &model.leaves[a] {
+            for &y in &model.leaves[b] {
+                covered[x][y] += 1;
+                covered[y][x] += 1;
+            }
+        }
+    }
+    for (x, row) in covered.iter().enumerate() {
+        for (y, &times) in row.iter().enumerate() {
+            assert_eq!(times, u32::from(model.sees[x][y]), "leaves {x}, {y} covered: {note}");
+        }
+    }
+    // The file has no statuses; those its links imply must be those of [V-4].
+    let stated = model.with_matrix(covered.iter().map(|r| r.iter().map(|&c| c == 1).collect()));
+    for (a, b) in model.disjoint_pairs() {
+        assert_eq!(stated.status(a, b), model.status(a, b), "nodes {a}, {b}: {note}");
+    }
+}
+
+/// Asks the query room for every leaf pair, both ways round.
+fn check_answers(bytes: &[u8], model: &Model, links: &[(u32, u32)], note: &str) {
+    let map = Map::open(bytes).unwrap();
+    let at = |s: usize| {
+        Located { surfel: s as u32, node: model.surfels[s].node as u32, distance: 0.0 }
+    };
+    for x in 0..model.surfels.len() {
+        for y in 0..model.surfels.len() {
+            let answer = map.pair(&at(x), &at(y)).unwrap();
+            assert_eq!(answer.visible, x == y || model.sees[x][y], "leaves {x}, {y}: {note}");
+            assert_eq!(answer.link.is_some(), x != y && answer.visible, "{note}");
+            let Some(link) = answer.link else { continue };
+            let (a, b) = link.nodes;
+            assert!(links.binary_search(&(a.min(b), a.max(b))).is_ok(), "{note}");
+            let (a, b) = (a as usize, b as usize);
+            assert!(model.leaves[a].contains(&x) && model.leaves[b].contains(&y), "{note}");
+            assert_eq!(link.n_points, (model.n_points[a], model.n_points[b]), "{note}");
+        }
+    }
+}
+
+/// Checks the tree from outside: each point is in exactly one leaf, whose surfel is its points'.
+fn check_cut(octree: &Path, model: &Model, config: &BuildConfig, note: &str) {
+    let file = pvmap::open_octree(octree).unwrap();
+    let octree = OctreeView::open(&file).unwrap();
+    octree.verify().unwrap();
+    let n_points = octree.summary().n_points;
+    let mut leaves = vec![Leaf::default(); model.surfels.len()];
+    let all = octree.points(0, n_points).unwrap();
+    for point in all.iter() {
+        let key = point.unwrap().key;
+        let homes: Vec<usize> =
+            (0..leaves.len()).filter(|&s| holds_point(model, s, &key)).collect();
+        assert_eq!(homes.len(), 1, "homes {homes:?} of {key:?}: {note}");
+        leaves[homes[0]].points.push(key);
+        let node = pvmap::vmap::tree::route(&model.tree(), &key).unwrap();
+        assert_eq!(node, Some(model.surfels[homes[0]].node as u32), "{note}");
+    }
+    let spacing = model::median_spacing(&leaves);
+    for (leaf, surfel) in leaves.iter().zip(&model.surfels) {
+        leaf.check(surfel, spacing, config.profile, note);
+    }
+    for (id, node) in model.nodes.iter().enumerate() {
+        let points: u64 = model.leaves[id].iter().map(|&s| leaves[s].points.len() as u64).sum();
+        assert_eq!(node.n_points, points, "node {id}: {note}");
+        let is_full = points > config.leaf_capacity && node.level < config.max_level;
+        match node.split {
+            Split::Octants => assert!(is_full, "node {id}: {note}"),
+            Split::Leaf | Split::Quadrants => {
+                let in_cell = model.points_of_quadrants(id).max(points);
+                let was_full = in_cell > config.leaf_capacity && node.level < config.max_level;
+                assert!(!was_full, "node {id}: {note}");
+            }
+            Split::Bins => assert!(id == 0 && config.tree == Shape::Binned, "{note}"),
+        }
+    }
+}
+
+fn census(model: &Model, links: &[(u32, u32)]) -> Seen {
+    let n = model.surfels.len() as u64;
+    let is_leaf = |id: u32| model.nodes[id as usize].split == Split::Leaf;
+    let count = |f: &dyn Fn(&model::Disc) -> bool| {
+        model.surfels.iter().filter(|s| f(s)).count() as u64
+    };
+    let pairs: Vec<_> = model.disjoint_pairs().collect();
+    let zero = count(&|s| s.normal == [0; 3]);
+    let two_sided = count(&|s| s.normal != [0; 3] && s.two_sided);
+    Seen {
+        leaf_pairs: n * n.saturating_sub(1) / 2,
+        visible: model.n_visible(),
+        blocked: model.n_blocked,
+        links: links.len() as u64,
+        links_above_leaves: links.iter().filter(|&&(a, b)| !(is_leaf(a) && is_leaf(b))).count()
+            as u64,
+        partial: pairs.iter().filter(|&&(a, b)| model.status(a, b) == Status::Partial).count()
+            as u64,
+        node_pairs: pairs.len() as u64,
+        two_sided,
+        one_sided: n - zero - two_sided,
+        zero_normals: zero,
+        quadrants: model.nodes.iter().filter(|n| n.split == Split::Quadrants).count() as u64,
+    }
+}
+
+#[test]
+fn v1_to_v5_maps_are_brute_force() {
+    let n = if is_slow_run() { 2000 } else { 200 };
+    let seen = sum((0..n).into_par_iter().map(check_tree));
+    eprintln!("{n} trees: {seen:?}");
+    assert!(seen.visible > 10 * n && seen.blocked > 10 * n, "{seen:?}");
+    assert!(seen.links_above_leaves > n && seen.partial > 10 * n, "{seen:?}");
+    assert!(seen.two_sided > n && seen.one_sided > n && seen.zero_normals > n / 2, "{seen:?}");
+    assert!(seen.quadrants > n / 20, "{seen:?}");
+}
+
+/// Draws node pairs: mostly such as a person would give, sometimes any.
+fn random_pairs(rng: &mut Rng, model: &Model) -> Vec<(u32, u32)> {
+    let disjoint: Vec<_> = model.disjoint_pairs().collect();
+    let n_nodes = model.nodes.len() as u32;
+    let mut pairs: Vec<(u32, u32)> = Vec::new();
+    let mut covered = BTreeSet::new();
+    for _ in 0..rng.usize(..12) {
+        let Some(&(a, b)) = rng.choice(&disjoint) else { break };
+        let fresh = model.leaf_pairs(a, b).all(|pair| !covered.contains(&pair));
+        if fresh {
+            covered.extend(model.leaf_pairs(a, b));
+            pairs.push(if rng.bool() { (a as u32, b as u32) } else { (b as u32, a as u32) });
+        }
+    }
+    if rng.u8(..3) == 0 {
+        let any = (rng.u32(..n_nodes + 1), rng.u32(..n_nodes));
+        pairs.insert(rng.usize(..=pairs.len()), any);
+    }
+    pairs
+}
+
+/// Says whether [V-5] allows the pairs: nodes exist, subtrees are disjoint, nothing twice.
+fn are_allowed(model: &Model, pairs: &[(u32, u32)]) -> bool {
+    let mut covered = BTreeSet::new();
+    pairs.iter().all(|&(a, b)| {
+        let (a, b) = (a.min(b) as usize, a.max(b) as usize);
+        b < model.nodes.len()
+            && model.are_disjoint(a, b)
+            && model.leaf_pairs(a, b).all(|pair| covered.insert(pair))
+    })
+}
+
+/// One random tree with random given pairs; says whether they were allowed.
+fn check_given(seed: u64) -> (u32, u32) {
+    let mut rng = Rng::with_seed(seed);
+    let folder = tempfile::tempdir().unwrap();
+    let limits = Limits { threads: 2, memory_bytes: 64 << 20 };
+    let octree = random_octree(&mut rng, folder.path(), &limits);
+    let mut config = random_config(&mut rng);
+    let whole = build_with(&octree, &config, &limits);
+    let (nodes, surfels, _) = contents(&MapView::open(&whole).unwrap());
+    let model = Model::new(&nodes, &surfels, config.profile);
+    let (mut allowed, mut refused) = (0, 0);
+    for _ in 0..12 {
+        let pairs = random_pairs(&mut rng, &model);
+        let note = format!("seed {seed}, {config:?}, {pairs:?}");
+        config.interaction = Some(pairs.clone());
+        let output = folder.path().join("given.vmap");
+        let built = pvmap::build(&octree, &output, &config, &limits, &Quiet);
+        if !are_allowed(&model, &pairs) {
+            let error = built.expect_err(&note);
+            assert!(matches!(error, Error::Visibility(_)), "{error}: {note}");
+            assert_eq!(error.exit_code(), 65, "{note}");
+            assert!(!output.exists(), "{note}");
+            refused += 1;
+            continue;
+        }
+        built.expect(&note);
+        let bytes = std::fs::read(&output).unwrap();
+        std::fs::remove_file(&output).unwrap();
+        check_given_map(&bytes, &model, &pairs, &note);
+        allowed += 1;
+    }
+    (allowed, refused)
+}
+
+fn check_given_map(bytes: &[u8], model: &Model, pairs: &[(u32, u32)], note: &str) {
+    let view = MapView::open(bytes).unwrap();
+    view.verify().unwrap();
+    let (_, _, links) = contents(&view);
+    let starts: Vec<(usize, usize)> =
+        pairs.iter().map(|&(a, b)| (a.min(b) as usize, a.max(b) as usize)).collect();
+    let expected = model.links_from(&starts);
+    let found = links.iter().map(|&(a, b)| (a as usize, b as usize));
+    assert!(found.eq(expected), "wrong links: {note}");
+    // What no given pair covers is not known to be visible.
+    let wanted: BTreeSet<_> = starts.iter().flat_map(|&(a, b)| model.leaf_pairs(a, b)).collect();
+    let sees = (0..model.surfels.len()).map(|x| {
+        let row = 0..model.surfels.len();
+        row.map(|y| model.sees[x][y] && wanted.contains(&(x.min(y), x.max(y)))).collect()
+    });
+    check_answers(bytes, &model.with_matrix(sees), &links, note);
+}
+
+#[test]
+fn v5_given_pairs_are_obeyed_or_refused() {
+    let n = if is_slow_run() { 400 } else { 40 };
+    let each = (10_000..10_000 + n).into_par_iter().map(check_given);
+    let (allowed, refused) = each.reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+    eprintln!("{n} trees: {allowed} lists obeyed, {refused} refused");
+    assert!(allowed > 5 * n as u32 && refused > n as u32, "{allowed} {refused}");
+}
