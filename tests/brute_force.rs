@@ -179,9 +179,8 @@ fn check_links(
 /// Asks the query room for every leaf pair, both ways round.
 fn check_answers(bytes: &[u8], model: &Model, links: &[(u32, u32)], note: &str) {
     let map = Map::open(bytes).unwrap();
-    let at = |s: usize| {
-        Located { surfel: s as u32, node: model.surfels[s].node as u32, distance: 0.0 }
-    };
+    let at =
+        |s: usize| Located { surfel: s as u32, node: model.surfels[s].node as u32, distance: 0.0 };
     for x in 0..model.surfels.len() {
         for y in 0..model.surfels.len() {
             let answer = map.pair(&at(x), &at(y)).unwrap();
@@ -237,9 +236,8 @@ fn check_cut(octree: &Path, model: &Model, config: &BuildConfig, note: &str) {
 fn census(model: &Model, links: &[(u32, u32)]) -> Seen {
     let n = model.surfels.len() as u64;
     let is_leaf = |id: u32| model.nodes[id as usize].split == Split::Leaf;
-    let count = |f: &dyn Fn(&model::Disc) -> bool| {
-        model.surfels.iter().filter(|s| f(s)).count() as u64
-    };
+    let count =
+        |f: &dyn Fn(&model::Disc) -> bool| model.surfels.iter().filter(|s| f(s)).count() as u64;
     let pairs: Vec<_> = model.disjoint_pairs().collect();
     let zero = count(&|s| s.normal == [0; 3]);
     let two_sided = count(&|s| s.normal != [0; 3] && s.two_sided);

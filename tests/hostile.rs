@@ -224,12 +224,11 @@ fn f61_to_f65_text_that_lies() {
     let with = |body: &str| ply(&format!("element vertex 1\n{xyz}end_header\n"), body);
     let huge = format!("element vertex 1152921504606846976\n{xyz}end_header\n");
     let bare = format!("element a 1152921504606846976\nelement vertex 1\n{xyz}end_header\n");
-    let list = "element a 1\nproperty list int float b\nelement vertex 1\n";
-    let list = format!("{list}{xyz}end_header\n");
+    let list = format!("element vertex 1\n{xyz}property list int float l\nend_header\n");
     assert_refused([
         ("huge.ply", ply(&huge, "1 2 3\n"), "1152921504606846976"),
-        ("list.ply", ply(&list, "-1\n1 2 3\n"), "-1"),
-        ("long_list.ply", ply(&list, "2147483648 1\n1 2 3\n"), ""),
+        ("list.ply", ply(&list, "1 2 3 -1\n"), "-1"),
+        ("long_list.ply", ply(&list, "1 2 3 2147483648 1\n"), ""),
         ("endless.ply", ply("comment ", &"c".repeat(1 << 20)), ""),
         ("wide.ply", ply("", &"property float x\n".repeat(1 << 16)), ""),
         ("overflow.ply", with("1 1e400 3\n"), "finite"),
@@ -312,7 +311,6 @@ fn f67_names_of_any_bytes() {
 
         // A message about such a file is one line all the same.
         bench.write(name, "ply\nformat\n");
-        bench.run(args.iter().copied().chain([name, "--overwrite".as_ref()])).exits(2);
         let args = ["ingest", "--overwrite", "-o", "out.octree", "--"].map(OsStr::new);
         bench.run(args.into_iter().chain([name])).fails(65, &[]);
     }

@@ -138,7 +138,8 @@ fn d8_threads_change_no_byte() {
         }
     }
     let octree = ingest_with(&[scan], folder.path(), &LIMITS, |_| {});
-    for config in [BuildConfig { leaf_capacity: 20, ..BuildConfig::default() }, configs()[1].clone()]
+    for config in
+        [BuildConfig { leaf_capacity: 20, ..BuildConfig::default() }, configs()[1].clone()]
     {
         let one = build_with(&octree, &config, &threads(1));
         for n in [2, 3, 8] {
@@ -177,8 +178,12 @@ fn d8_memory_changes_no_byte_of_a_map() {
     let scan = scene_file(SceneKind::Furnished, 100_000, false, &folder.path().join("room.las"));
     let octree = ingest_with(&[scan], folder.path(), &LIMITS, |_| {});
     // Half a plain tree's cells are on edges: many links, more than 64 MiB hold.
-    let config =
-        BuildConfig { tree: Shape::Paper, max_level: 7, leaf_capacity: 10, ..BuildConfig::default() };
+    let config = BuildConfig {
+        tree: Shape::Paper,
+        max_level: 7,
+        leaf_capacity: 10,
+        ..BuildConfig::default()
+    };
     let build = |name: &str, limits: &Limits| {
         let output = folder.path().join(name);
         let built = pvmap::build(&octree, &output, &config, limits, &Quiet).unwrap();
@@ -196,7 +201,7 @@ fn d8_memory_changes_no_byte_of_a_map() {
 fn d8_two_runs_make_the_same_folder_and_map() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["room.las", "room.laz", "room.ply"] {
-        let scan = scene_file(SceneKind::Furnished, 20_000, false, &folder.path().join(name));
+        let scan = scene_file(SceneKind::Furnished, 6_000, false, &folder.path().join(name));
         for normals in &NORMALS {
             let (one, _) = octree_of(&scan, &LIMITS, with_normals(normals));
             let (two, _) = octree_of(&scan, &LIMITS, with_normals(normals));
@@ -215,7 +220,7 @@ fn d2_shuffled_points_make_the_same_map() {
         let scan = |shuffle, order: &str| {
             let path = folder.path().join(order).join(name);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            [scene_file(SceneKind::Furnished, 20_000, shuffle, &path)]
+            [scene_file(SceneKind::Furnished, 6_000, shuffle, &path)]
         };
         let (coherent, shuffled) = (scan(false, "coherent"), scan(true, "shuffled"));
         for normals in &NORMALS {
@@ -239,7 +244,7 @@ fn stepped(cloud: &Cloud, steps: [i32; 3]) -> Cloud {
 fn compare_las(moved: &[(&str, Cloud, f64, [f64; 3])]) {
     let folder = tempfile::tempdir().unwrap();
     let home = folder.path().join("home.las");
-    room_cloud(20_000).write_las(&home, SCALE_M, [0.0; 3]);
+    room_cloud(6_000).write_las(&home, SCALE_M, [0.0; 3]);
     let others: Vec<_> = moved
         .iter()
         .map(|(what, cloud, scale, offset)| {
@@ -259,7 +264,7 @@ fn compare_las(moved: &[(&str, Cloud, f64, [f64; 3])]) {
 
 #[test]
 fn d2_a_las_moved_by_500_km_makes_the_same_map() {
-    let cloud = room_cloud(20_000);
+    let cloud = room_cloud(6_000);
     compare_las(&[
         ("offset", cloud.clone(), SCALE_M, [500_000.0, -500_000.0, 500_000.0]),
         // No whole number of steps, and nothing a float holds exactly.
@@ -271,7 +276,7 @@ fn d2_a_las_moved_by_500_km_makes_the_same_map() {
 
 #[test]
 fn d2_a_las_scaled_by_a_power_of_two_makes_the_same_map() {
-    let cloud = room_cloud(20_000);
+    let cloud = room_cloud(6_000);
     let scaled = |k: i32| SCALE_M * 2f64.powi(k);
     compare_las(&[
         ("half", cloud.clone(), scaled(-1), [0.0; 3]),
@@ -284,7 +289,7 @@ fn d2_a_las_scaled_by_a_power_of_two_makes_the_same_map() {
 #[test]
 fn d2_a_ply_scaled_by_a_power_of_two_makes_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
-    let room = room_cloud(20_000);
+    let room = room_cloud(6_000);
     let Positions::Lattice(steps) = &room.positions else { unreachable!("made on a lattice") };
     let double = |k: i32| {
         let place = |p: &[i32; 3]| p.map(|c| (f64::from(c) * SCALE_M + 0.7) * 2f64.powi(k));
@@ -314,7 +319,7 @@ fn d2_a_ply_scaled_by_a_power_of_two_makes_the_same_map() {
 #[test]
 fn d2_the_parts_of_a_las_make_the_map_of_the_whole() {
     let folder = tempfile::tempdir().unwrap();
-    let room = room_cloud(20_000);
+    let room = room_cloud(6_000);
     let n = room.len();
     let file = |name: &str, cloud: &Cloud, offset: [f64; 3]| {
         let path = folder.path().join(name);

@@ -81,9 +81,8 @@ impl Model {
         for a in 0..n {
             for b in a + 1..n {
                 let facing = face(&discs[a], &discs[b]);
-                let is_blocked = || {
-                    (0..n).any(|k| k != a && k != b && blocks(profile, &discs, (a, b), k))
-                };
+                let is_blocked =
+                    || (0..n).any(|k| k != a && k != b && blocks(profile, &discs, (a, b), k));
                 let blocked = facing && is_blocked();
                 n_blocked += u64::from(blocked);
                 sees[a][b] = facing && !blocked;
@@ -111,8 +110,8 @@ impl Model {
         let mut counts = vec![vec![0; n + 1]; n + 1];
         for x in 0..n {
             for y in 0..n {
-                counts[x + 1][y + 1] = counts[x][y + 1] + counts[x + 1][y] - counts[x][y]
-                    + u64::from(sees[x][y]);
+                counts[x + 1][y + 1] =
+                    counts[x][y + 1] + counts[x + 1][y] - counts[x][y] + u64::from(sees[x][y]);
             }
         }
         Model { sees, counts, ..self.clone() }
@@ -352,10 +351,7 @@ impl Leaf {
     /// Gives the least and the largest coordinates.
     fn bounds(&self) -> (GridPoint, GridPoint) {
         let all = |i: usize| self.points.iter().map(move |p| p.g[i]);
-        (
-            [0, 1, 2].map(|i| all(i).min().unwrap_or(0)),
-            [0, 1, 2].map(|i| all(i).max().unwrap_or(0)),
-        )
+        ([0, 1, 2].map(|i| all(i).min().unwrap_or(0)), [0, 1, 2].map(|i| all(i).max().unwrap_or(0)))
     }
 
     /// Gives h where it has points enough: max(1, isqrt(e1·e2/m) div 2).
@@ -390,8 +386,7 @@ impl Leaf {
         let has_normal = |p: &&RoutingKey| p.normal != [0; 3];
         let n_normals = self.points.iter().filter(has_normal).count();
         assert!(n_normals > 0 || surfel.normal == [0; 3], "normal of none: {note}");
-        let n_unoriented =
-            self.points.iter().filter(has_normal).filter(|p| !p.oriented).count();
+        let n_unoriented = self.points.iter().filter(has_normal).filter(|p| !p.oriented).count();
         assert!(n_unoriented == 0 || surfel.two_sided, "one side of unoriented: {note}");
     }
 }

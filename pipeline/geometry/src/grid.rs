@@ -108,9 +108,9 @@ impl Frame {
         Ok(g)
     }
 
-    /// Gives the world coordinates of the middle of a grid step.
+    /// Gives the world coordinates of the middle of a grid step; of the last one, the cube's face.
     pub fn world_of(&self, g: GridPoint) -> [f64; 3] {
-        self.world_of_real(g.map(|v| f64::from(v) + 0.5))
+        self.world_of_real(g.map(|v| (f64::from(v) + 0.5).min(f64::from(GRID_MAX))))
     }
 
     /// Gives the world coordinates of a real place on the grid, in grid steps.

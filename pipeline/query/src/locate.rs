@@ -55,7 +55,7 @@ struct Target {
 struct Fit {
     /// Squared distance to its box, grid steps².
     distance2: u64,
-    /// n_k·n, 0 without a normal.
+    /// n_k·n, |n_k·n| where the surfel is two-sided, 0 without a normal.
     along: Reverse<i64>,
     /// |n_k·(g - c_k)|.
     off_plane: u64,
@@ -120,10 +120,15 @@ impl Map<'_> {
     /// Finds the leaf that would hold a stored point like this one.
     fn routed(&self, target: &Target) -> Result<Option<Found>, FormatError> {
         let Some(normal) = target.normal else { return Ok(None) };
-        let key = RoutingKey { g: target.g, normal, oriented: true };
-        let Some(id) = route(self.view(), &key)? else { return Ok(None) };
-        let leaf = self.view().node(id)?;
-        self.judge(target, id, &leaf).map(Some)
+        // The side of a stored normal may be unknown; then it is stored with its canonical sign.
+        for oriented in [true, false] {
+            let key = RoutingKey { g: target.g, normal, oriented };
+            if let Some(id) = route(self.view(), &key)? {
+                let leaf = self.view().node(id)?;
+                return self.judge(target, id, &leaf).map(Some);
+            }
+        }
+        Ok(None)
     }
 
     /// Finds the best of all leaves.
@@ -169,9 +174,11 @@ impl Map<'_> {
         let surfel = self.surfel_of(id, leaf)?;
         let g = target.g.map(|v| v as i32);
         let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(surfel.centroid[i]));
+        let along = dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from));
         let fit = Fit {
             distance2: self.answering_box(&surfel).distance2(g),
-            along: Reverse(dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from))),
+            // The sign of a two-sided surfel's normal says nothing.
+            along: Reverse(if surfel.two_sided { along.abs() } else { along }),
             off_plane: dot(surfel.normal, off).unsigned_abs(),
             surfel: leaf.first_surfel,
         };

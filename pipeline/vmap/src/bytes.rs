@@ -64,6 +64,7 @@ impl<'a> FieldWriter<'a> {
 
 impl<'a> FieldReader<'a> {
     /// Starts at the first byte of a record.
+    #[inline(always)]
     pub fn new(bytes: &'a [u8]) -> FieldReader<'a> {
         FieldReader { bytes, at: 0 }
     }
@@ -76,7 +77,14 @@ impl<'a> FieldReader<'a> {
         *head
     }
 
+    /// Reads the three components of a vector.
+    #[inline(always)]
+    pub fn three<T>(&mut self, get: fn(&mut Self) -> T) -> [T; 3] {
+        [get(self), get(self), get(self)]
+    }
+
     /// Says whether all bytes that were not read are zero, as reserved fields must be.
+    #[inline(always)]
     pub fn rest_is_zero(&self) -> bool {
         self.bytes[self.at..].iter().all(|&b| b == 0)
     }

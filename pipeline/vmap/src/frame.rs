@@ -59,11 +59,11 @@ impl Record for FrameRecord {
             2 => CrsKind::GeoTiff,
             _ => return None,
         };
-        let scale = [0; 3].map(|_| r.f64());
-        let offset = [0; 3].map(|_| r.f64());
+        let scale = r.three(FieldReader::f64);
+        let offset = r.three(FieldReader::f64);
         let frame = match kind {
-            0 => Frame::Lattice { scale, offset, min: [0; 3].map(|_| r.i64()), extent: r.f64() },
-            1 => Frame::World { min: [0; 3].map(|_| r.f64()), extent: r.f64() },
+            0 => Frame::Lattice { scale, offset, min: r.three(FieldReader::i64), extent: r.f64() },
+            1 => Frame::World { min: r.three(FieldReader::f64), extent: r.f64() },
             _ => return None,
         };
         let finite = scale.iter().chain(&offset).all(|v| v.is_finite());

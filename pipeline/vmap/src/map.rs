@@ -237,6 +237,7 @@ impl Nodes for MapView<'_> {
         self.summary.n_nodes
     }
 
+    #[inline]
     fn node(&self, id: u32) -> Result<Node, FormatError> {
         let node: Node = record(&self.file, &self.nodes, id.into())?;
         let surfels =
@@ -256,6 +257,7 @@ impl Nodes for MapView<'_> {
 }
 
 /// Reads a record of a section.
+#[inline]
 pub(crate) fn record<R: Record>(
     file: &Container<'_>,
     section: &Section,

@@ -212,7 +212,7 @@ impl Placement {
     #[inline]
     pub fn lattice(&self, record: &[u8]) -> Option<[i64; 3]> {
         let mut r = FieldReader::new(record);
-        let x = [0; 3].map(|_| i64::from(r.i32()));
+        let x = r.three(FieldReader::i32).map(i64::from);
         let shift = self.source(record)?.shift;
         Some([0, 1, 2].map(|i| x[i] + shift[i]))
     }
@@ -222,11 +222,11 @@ impl Placement {
     pub fn world(&self, record: &[u8]) -> Option<[f64; 3]> {
         let mut r = FieldReader::new(record);
         match self.kind {
-            ColumnType::F32x3 => Some([0; 3].map(|_| f64::from(r.f32()))),
-            ColumnType::F64x3 => Some([0; 3].map(|_| r.f64())),
+            ColumnType::F32x3 => Some(r.three(FieldReader::f32).map(f64::from)),
+            ColumnType::F64x3 => Some(r.three(FieldReader::f64)),
             _ => {
                 let source = self.source(record)?;
-                let x = [0; 3].map(|_| r.i32());
+                let x = r.three(FieldReader::i32);
                 Some([0, 1, 2].map(|i| f64::from(x[i]) * source.scale[i] + source.offset[i]))
             }
         }
@@ -271,9 +271,10 @@ impl PointNormal {
     }
 
     /// Reads it; `None` where the flags and the normal contradict each other.
+    #[inline]
     pub fn from_bytes(bytes: &[u8]) -> Option<PointNormal> {
         let mut r = FieldReader::new(bytes);
-        let normal = [0; 3].map(|_| r.i16());
+        let normal = r.three(FieldReader::i16);
         let flags = r.u16();
         let found = PointNormal { normal, oriented: flags & 2 != 0, from_source: flags & 4 != 0 };
         let short = normal.iter().all(|v| v.unsigned_abs() <= 1 << 14);

@@ -27,6 +27,7 @@ pub trait Record: Sized {
     }
 
     /// Reads it from its bytes, reserved ones included.
+    #[inline]
     fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut r = FieldReader::new(bytes);
         let record = Self::read(&mut r)?;
@@ -96,6 +97,7 @@ impl Record for Node {
         w.u8(self.slot);
     }
 
+    #[inline]
     fn read(r: &mut FieldReader<'_>) -> Option<Node> {
         let node = Node {
             parent: r.u32(),
@@ -115,7 +117,8 @@ impl Record for Node {
             },
             slot: r.u8(),
         };
-        (node.level <= 21 && (-1..=6).contains(&node.bin)).then_some(node)
+        (node.level <= 21 && (-1..=6).contains(&node.bin) && node.first_code < 1 << 63)
+            .then_some(node)
     }
 }
 
@@ -180,9 +183,10 @@ impl Record for Surfel {
         w.u32(self.node);
     }
 
+    #[inline]
     fn read(r: &mut FieldReader<'_>) -> Option<Surfel> {
-        let centroid = [0; 3].map(|_| r.u32());
-        let normal = [0; 3].map(|_| r.i16());
+        let centroid = r.three(FieldReader::u32);
+        let normal = r.three(FieldReader::i16);
         let flags = r.u16();
         let surfel = Surfel {
             centroid,
@@ -192,9 +196,9 @@ impl Record for Surfel {
             radius2: r.u64(),
             n_points: r.u64(),
             first_code: r.u64(),
-            patch: Box3 { min: [0; 3].map(|_| r.i32()), max: [0; 3].map(|_| r.i32()) },
+            patch: Box3 { min: r.three(FieldReader::i32), max: r.three(FieldReader::i32) },
             color: {
-                let color = [0; 3].map(|_| r.u16());
+                let color = r.three(FieldReader::u16);
                 (flags & HAS_COLOR != 0).then_some(color)
             },
             level: r.u8(),
@@ -206,7 +210,12 @@ impl Record for Surfel {
             && surfel.centroid.iter().all(|&c| c < 1 << 22)
             && surfel.normal.iter().all(|n| n.unsigned_abs() <= 1 << 14)
             && surfel.radius2 < 1 << 48
-            && (0..3).all(|i| surfel.patch.min[i] > -(1 << 24) && surfel.patch.max[i] < 1 << 24);
+            && surfel.half_spacing < 1 << 23
+            && surfel.first_code < 1 << 63
+            && (0..3).all(|i| {
+                let (min, max) = (surfel.patch.min[i], surfel.patch.max[i]);
+                -(1 << 24) < min && min <= max && max < 1 << 24
+            });
         legal.then_some(surfel)
     }
 }
@@ -286,6 +295,7 @@ impl Record for LinkBlock {
         w.u32(self.crc);
     }
 
+    #[inline]
     fn read(r: &mut FieldReader<'_>) -> Option<LinkBlock> {
         Some(LinkBlock {
             first: (r.u32(), r.u32()),
@@ -398,9 +408,9 @@ impl Record for Source {
             format: r.u32(),
             n_stored: r.u64(),
             n_invalid: r.u64(),
-            scale: [0; 3].map(|_| r.f64()),
-            offset: [0; 3].map(|_| r.f64()),
-            shift: [0; 3].map(|_| r.i64()),
+            scale: r.three(FieldReader::f64),
+            offset: r.three(FieldReader::f64),
+            shift: r.three(FieldReader::i64),
             color_depth: r.u32(),
         };
         let finite = source.scale.iter().chain(&source.offset).all(|v| v.is_finite());

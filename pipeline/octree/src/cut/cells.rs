@@ -85,10 +85,7 @@ impl<'a> Cutter<'a> {
             bin,
             tree: Tree::default(),
             open: Vec::new(),
-            pending: Cell {
-                codes: morton::cell_range(0, 0),
-                ..Cell::default()
-            },
+            pending: Cell { codes: morton::cell_range(0, 0), ..Cell::default() },
         }
     }
 
@@ -98,10 +95,7 @@ impl<'a> Cutter<'a> {
     /// Where the octree is damaged, the run was asked to stop, or ids run out.
     pub(super) fn take(&mut self, points: &[LeafPoint]) -> Result<(), OctreeError> {
         let bin = self.bin;
-        points
-            .iter()
-            .filter(|p| p.bin == bin)
-            .try_for_each(|p| self.push(p))
+        points.iter().filter(|p| p.bin == bin).try_for_each(|p| self.push(p))
     }
 
     /// Settles what is pending and gives the tree of the bin: its top node has no parent. Empty

@@ -11,9 +11,7 @@ const NEWTON_STEPS: usize = 12;
 /// Linear light, full scale 65535, of every sRGB value of that scale.
 static LINEAR: LazyLock<Box<Table>> = LazyLock::new(|| {
     let mut table = Box::new([0; 1 << 16]);
-    (0..=u16::MAX)
-        .zip(table.iter_mut())
-        .for_each(|(srgb, light)| *light = linear(srgb));
+    (0..=u16::MAX).zip(table.iter_mut()).for_each(|(srgb, light)| *light = linear(srgb));
     table
 });
 
@@ -44,9 +42,7 @@ impl Colors {
     /// Gives a record's colour in linear light; `None` where its source has none.
     #[inline]
     pub(super) fn linear(&self, record: &[u8]) -> Option<[u16; 3]> {
-        let source = self
-            .source_at
-            .map_or(0, |at| FieldReader::new(&record[at..]).u32());
+        let source = self.source_at.map_or(0, |at| FieldReader::new(&record[at..]).u32());
         let mut fields = FieldReader::new(&record[self.at..]);
         let stored = [fields.u16(), fields.u16(), fields.u16()];
         // 257 · v is v repeated: the same share of full scale.
@@ -91,20 +87,10 @@ mod tests {
     fn linear_light_follows_the_srgb_curve() {
         for v in 0..=u16::MAX {
             let c = f64::from(v) / 65535.0;
-            let light = if c <= 0.04045 {
-                c / 12.92
-            } else {
-                ((c + 0.055) / 1.055).powf(2.4)
-            };
-            assert!(
-                (f64::from(linear(v)) - light * 65535.0).abs() < 0.5 + 1e-6,
-                "{v}"
-            );
+            let light = if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) };
+            assert!((f64::from(linear(v)) - light * 65535.0).abs() < 0.5 + 1e-6, "{v}");
         }
-        assert_eq!(
-            [0, 257, 128 * 257, 65535].map(linear),
-            [0, 20, 14146, 65535]
-        );
+        assert_eq!([0, 257, 128 * 257, 65535].map(linear), [0, 20, 14146, 65535]);
     }
 
     #[test]

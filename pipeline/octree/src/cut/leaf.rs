@@ -43,28 +43,17 @@ struct Sums {
 impl<'a> LeafPoints<'a> {
     /// Takes points of `bin` in memory.
     pub(super) fn held(points: &'a [LeafPoint], bin: i8) -> LeafPoints<'a> {
-        LeafPoints {
-            place: Place::Held(points),
-            bin,
-            quadrant: None,
-        }
+        LeafPoints { place: Place::Held(points), bin, quadrant: None }
     }
 
     /// Takes the points of `bin` in a range of the octree.
     pub(super) fn stored(reader: &'a Reader<'a>, indices: Range<u64>, bin: i8) -> LeafPoints<'a> {
-        LeafPoints {
-            place: Place::Stored(reader, indices),
-            bin,
-            quadrant: None,
-        }
+        LeafPoints { place: Place::Stored(reader, indices), bin, quadrant: None }
     }
 
     /// Takes those of a quadrant only.
     pub(super) fn of_quadrant(&self, quadrant: u8) -> LeafPoints<'a> {
-        LeafPoints {
-            quadrant: Some(quadrant),
-            ..self.clone()
-        }
+        LeafPoints { quadrant: Some(quadrant), ..self.clone() }
     }
 
     /// Finds the quadrants into which a leaf of bins 0…5 is split: those of its points if one of

@@ -108,10 +108,8 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
     let n_nodes = 1 + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
     let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
     let end = checked_id(n_nodes - 1)? + 1;
-    let mut tree = Tree {
-        nodes: Vec::with_capacity(n_nodes),
-        surfels: Vec::with_capacity(n_surfels),
-    };
+    let mut tree =
+        Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };
     let mut root = root_node(shape, n_points);
     root.end = end;
     // There are at most as many surfels as nodes.
@@ -127,11 +125,10 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
             node.end_surfel += first_surfel;
             node
         }));
-        tree.surfels
-            .extend(part.surfels.into_iter().map(|mut surfel| {
-                surfel.node += first;
-                surfel
-            }));
+        tree.surfels.extend(part.surfels.into_iter().map(|mut surfel| {
+            surfel.node += first;
+            surfel
+        }));
     }
     Ok(tree)
 }
@@ -141,8 +138,5 @@ fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, Octre
 /// # Errors
 /// Where ids run out: the ends of subtrees and [`NO_PARENT`] need the last two values.
 fn checked_id(n_nodes: usize) -> Result<u32, OctreeError> {
-    u32::try_from(n_nodes)
-        .ok()
-        .filter(|&id| id < NO_PARENT - 1)
-        .ok_or(OctreeError::TooManyNodes)
+    u32::try_from(n_nodes).ok().filter(|&id| id < NO_PARENT - 1).ok_or(OctreeError::TooManyNodes)
 }

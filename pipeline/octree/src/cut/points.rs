@@ -42,12 +42,7 @@ pub(super) struct Reader<'a> {
 impl<'a> Reader<'a> {
     /// Reads points for a tree of `shape`.
     pub(super) fn new(octree: &'a OctreeView<'a>, shape: Shape, watch: &'a dyn Watch) -> Self {
-        Reader {
-            octree,
-            colors: Colors::of(octree),
-            shape,
-            watch,
-        }
+        Reader { octree, colors: Colors::of(octree), shape, watch }
     }
 
     /// Visits the points of a range in order.
@@ -61,9 +56,7 @@ impl<'a> Reader<'a> {
     ) -> Result<(), OctreeError> {
         for first in range.clone().step_by(CODE_STRIDE as usize) {
             self.watch.check()?;
-            let points = self
-                .octree
-                .points(first, CODE_STRIDE.min(range.end - first))?;
+            let points = self.octree.points(first, CODE_STRIDE.min(range.end - first))?;
             for (index, point) in (first..).zip(points.iter()) {
                 visit(self.leaf_point(index, &point?))?;
             }
@@ -90,12 +83,9 @@ impl<'a> Reader<'a> {
         let record_bytes = self.octree.schema().record_bytes();
         match self.octree.file().section("points", record_bytes as u32) {
             Err(error) => error.into(),
-            Ok(section) => section
-                .broken(
-                    index * record_bytes as u64,
-                    "points are not in Morton order",
-                )
-                .into(),
+            Ok(section) => {
+                section.broken(index * record_bytes as u64, "points are not in Morton order").into()
+            }
         }
     }
 }
@@ -136,10 +126,7 @@ impl Window {
                 Ok(())
             })
         };
-        self.blocks
-            .par_iter_mut()
-            .enumerate()
-            .try_for_each(decode)?;
+        self.blocks.par_iter_mut().enumerate().try_for_each(decode)?;
         self.at = first..end;
         Ok(first < end)
     }

@@ -17,7 +17,11 @@ fn brute_force(tree: &Tree, profile: Profile, g: GridPoint, n: Option<[f32; 3]>)
         Profile::Paper => s.patch.grown(-(s.half_spacing as i32)).distance2(here),
     };
     if let Some(normal) = n {
-        let Ok(leaf) = route(tree, &RoutingKey { g, normal, oriented: true });
+        let side = |oriented| {
+            let Ok(leaf) = route(tree, &RoutingKey { g, normal, oriented });
+            leaf
+        };
+        let leaf = side(true).or_else(|| side(false));
         if let Some(leaf) = leaf {
             let surfel = tree.nodes[leaf as usize].first_surfel;
             return (surfel, distance2(&tree.surfels[surfel as usize]));
@@ -28,6 +32,7 @@ fn brute_force(tree: &Tree, profile: Profile, g: GridPoint, n: Option<[f32; 3]>)
         let s = &tree.surfels[id as usize];
         let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(s.centroid[i]));
         let along = n.map_or(0, |n| dot(s.normal, n.map(i64::from)));
+        let along = if s.two_sided { along.abs() } else { along };
         (distance2(s), -along, dot(s.normal, off).abs(), id)
     };
     let all = 0..tree.surfels.len() as u32;
@@ -116,8 +121,12 @@ fn v8_a_stored_point_leads_to_its_own_leaf() {
         let position = frame().world_of(g);
         let Ok(g) = frame().grid_of_query(position) else { continue };
         let given = n.map(f32::from);
-        let key = RoutingKey { g, normal: normal::quantise(given).unwrap(), oriented: true };
-        let Ok(leaf) = route(&tree, &key);
+        let normal = normal::quantise(given).unwrap();
+        let side = |oriented| {
+            let Ok(leaf) = route(&tree, &RoutingKey { g, normal, oriented });
+            leaf
+        };
+        let leaf = side(true).or_else(|| side(false));
         let found = map.locate(&Place { position, normal: Some(given) }, Snap::Within(1e9));
         assert_eq!(found.unwrap().node, leaf.unwrap());
     }

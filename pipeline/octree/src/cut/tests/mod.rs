@@ -30,40 +30,21 @@ struct TestPoint {
 
 impl TestPoint {
     fn at(g: GridPoint) -> TestPoint {
-        TestPoint {
-            g,
-            normal: [0; 3],
-            oriented: false,
-            color: [0; 3],
-            source: 0,
-        }
+        TestPoint { g, normal: [0; 3], oriented: false, color: [0; 3], source: 0 }
     }
 
     fn facing(self, normal: Normal) -> TestPoint {
-        TestPoint {
-            normal,
-            oriented: true,
-            ..self
-        }
+        TestPoint { normal, oriented: true, ..self }
     }
 
     fn two_sided(self, normal: Normal) -> TestPoint {
-        TestPoint {
-            normal,
-            oriented: false,
-            ..self
-        }
+        TestPoint { normal, oriented: false, ..self }
     }
 }
 
 /// Options with profile `patch`.
 fn options(shape: Shape, max_level: u8, leaf_capacity: u64) -> CutOptions {
-    CutOptions {
-        max_level,
-        leaf_capacity,
-        shape,
-        profile: Profile::Patch,
-    }
+    CutOptions { max_level, leaf_capacity, shape, profile: Profile::Patch }
 }
 
 /// Cuts a cloud of which every source has 8-bit colour.

@@ -45,10 +45,7 @@ fn n06_copies_beyond_the_capacity_end_at_the_last_level() {
 #[test]
 fn n07_equal_points_are_one_leaf_of_radius_zero() {
     for shape in SHAPES {
-        let options = CutOptions {
-            profile: Profile::Paper,
-            ..options(shape, 8, 50)
-        };
+        let options = CutOptions { profile: Profile::Paper, ..options(shape, 8, 50) };
         let tree = check(&[TestPoint::at([0; 3]); 7], &options);
         assert_eq!((tree.surfels.len(), tree.surfels[0].radius2), (1, 0));
     }
@@ -65,10 +62,7 @@ fn n08_no_point_gives_no_node_and_one_point_one_leaf() {
             Shape::Paper => assert_eq!(splits, [Split::Leaf]),
             Shape::Binned => assert_eq!(splits, [Split::Bins, Split::Leaf]),
         }
-        assert_eq!(
-            tree.surfels[0].bin,
-            if shape == Shape::Paper { -1 } else { 5 }
-        );
+        assert_eq!(tree.surfels[0].bin, if shape == Shape::Paper { -1 } else { 5 });
     }
 }
 
@@ -132,21 +126,12 @@ fn n23_a_lone_point_blocks_within_its_half_spacing() {
     cloud.push(TestPoint::at(lone).facing(UP));
     let tree = check(&cloud, &options(Shape::Binned, 8, 16));
     let surfel = *tree.surfels.last().expect("the lone point");
-    assert_eq!(
-        (surfel.n_points, surfel.half_spacing, surfel.radius2),
-        (1, 24, 576)
-    );
+    assert_eq!((surfel.n_points, surfel.half_spacing, surfel.radius2), (1, 24, 576));
     for (away, is_hit) in [(0, true), (24, true), (25, false)] {
         assert_eq!(blocks_a_vertical_line(&surfel, away), is_hit, "{away}");
     }
-    let paper = CutOptions {
-        profile: Profile::Paper,
-        ..options(Shape::Binned, 8, 16)
-    };
-    assert_eq!(
-        check(&cloud, &paper).surfels.last().expect("one").radius2,
-        0
-    );
+    let paper = CutOptions { profile: Profile::Paper, ..options(Shape::Binned, 8, 16) };
+    assert_eq!(check(&cloud, &paper).surfels.last().expect("one").radius2, 0);
 }
 
 /// Does the surfel stand between two places above and below it, so many steps along x away?
@@ -169,10 +154,7 @@ fn blocks_a_vertical_line(surfel: &Surfel, away: u32) -> bool {
 fn n24_duplicates_have_radius_zero_then_half_spacing() {
     let cloud = vec![TestPoint::at([1001, 7, 65_537]).facing(UP); 50];
     for shape in SHAPES {
-        let paper = CutOptions {
-            profile: Profile::Paper,
-            ..options(shape, 8, 50)
-        };
+        let paper = CutOptions { profile: Profile::Paper, ..options(shape, 8, 50) };
         assert_eq!(check(&cloud, &paper).surfels[0].radius2, 0);
         // Sides of one step: h = max(1, 0).
         assert_eq!(check(&cloud, &options(shape, 8, 50)).surfels[0].radius2, 1);
@@ -185,17 +167,10 @@ fn n27_a_thin_wall_is_two_sided() {
     cloud.extend(sheet(5, 10, 101, DOWN));
     let tree = check(&cloud, &options(Shape::Paper, 8, 50));
     assert_eq!(tree.surfels.len(), 1);
-    assert_eq!(
-        (tree.surfels[0].normal, tree.surfels[0].two_sided),
-        (UP, true)
-    );
+    assert_eq!((tree.surfels[0].normal, tree.surfels[0].two_sided), (UP, true));
     // Bins keep the faces apart.
     let tree = check(&cloud, &options(Shape::Binned, 8, 50));
-    let faces: Vec<_> = tree
-        .surfels
-        .iter()
-        .map(|s| (s.normal, s.two_sided))
-        .collect();
+    let faces: Vec<_> = tree.surfels.iter().map(|s| (s.normal, s.two_sided)).collect();
     assert_eq!(faces, [(UP, false), (DOWN, false)]);
 }
 
@@ -204,9 +179,8 @@ fn n30_signs_of_unoriented_normals_change_nothing() {
     let mut rng = Rng::with_seed(30);
     let direction = |rng: &mut Rng| [0; 3].map(|_| rng.i16(-9000..=9000));
     let place = |rng: &mut Rng| -> GridPoint { [0; 3].map(|_| rng.u32(..1 << 12)) };
-    let cloud: Vec<TestPoint> = (0..400)
-        .map(|_| TestPoint::at(place(&mut rng)).two_sided(direction(&mut rng)))
-        .collect();
+    let cloud: Vec<TestPoint> =
+        (0..400).map(|_| TestPoint::at(place(&mut rng)).two_sided(direction(&mut rng))).collect();
     let flipped: Vec<TestPoint> = cloud
         .iter()
         .map(|p| match rng.bool() {
@@ -218,11 +192,7 @@ fn n30_signs_of_unoriented_normals_change_nothing() {
         let options = options(shape, 12, 6);
         let tree = check(&cloud, &options);
         assert_eq!(tree, cut_cloud(&flipped, &options));
-        assert!(
-            tree.surfels
-                .iter()
-                .all(|s| s.two_sided && s.normal != [0; 3])
-        );
+        assert!(tree.surfels.iter().all(|s| s.two_sided && s.normal != [0; 3]));
     }
 }
 

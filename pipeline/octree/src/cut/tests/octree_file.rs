@@ -24,10 +24,8 @@ pub(super) fn octree_file(cloud: &[TestPoint], color_depths: &[u32]) -> Vec<u8> 
 /// Makes the file of a cloud that is taken as sorted.
 pub(super) fn file_in_order(cloud: &[TestPoint], color_depths: &[u32]) -> Vec<u8> {
     let extent = f64::from(GRID_MAX);
-    let frame = FrameRecord {
-        frame: Frame::of_world([0.0; 3], [extent; 3]),
-        crs_kind: CrsKind::None,
-    };
+    let frame =
+        FrameRecord { frame: Frame::of_world([0.0; 3], [extent; 3]), crs_kind: CrsKind::None };
     let schema = Schema::new(&[
         ("position", ColumnType::F64x3),
         ("record", ColumnType::U64),
@@ -42,12 +40,7 @@ pub(super) fn file_in_order(cloud: &[TestPoint], color_depths: &[u32]) -> Vec<u8
         (0, Vec::new()),
         (schema.record_bytes(), records(cloud)),
         (8, normals(cloud)),
-        (
-            8,
-            codes
-                .flat_map(|p| morton::encode(p.g).to_le_bytes())
-                .collect(),
-        ),
+        (8, codes.flat_map(|p| morton::encode(p.g).to_le_bytes()).collect()),
         (FrameRecord::BYTES, frame.to_bytes()),
         (0, Vec::new()),
     ];
@@ -67,30 +60,23 @@ fn summary(cloud: &[TestPoint]) -> OctreeSummary {
 
 /// Gives what routes a point.
 pub(super) fn key_of(p: &TestPoint) -> RoutingKey {
-    RoutingKey {
-        g: p.g,
-        normal: p.normal,
-        oriented: p.oriented,
-    }
+    RoutingKey { g: p.g, normal: p.normal, oriented: p.oriented }
 }
 
 fn sources(cloud: &[TestPoint], color_depths: &[u32]) -> Vec<u8> {
-    let rows = color_depths
-        .iter()
-        .enumerate()
-        .flat_map(|(i, &color_depth)| {
-            Source {
-                name: (0, 0),
-                format: 3,
-                n_stored: cloud.iter().filter(|p| p.source == i as u32).count() as u64,
-                n_invalid: 0,
-                scale: [1.0; 3],
-                offset: [0.0; 3],
-                shift: [0; 3],
-                color_depth,
-            }
-            .to_bytes()
-        });
+    let rows = color_depths.iter().enumerate().flat_map(|(i, &color_depth)| {
+        Source {
+            name: (0, 0),
+            format: 3,
+            n_stored: cloud.iter().filter(|p| p.source == i as u32).count() as u64,
+            n_invalid: 0,
+            scale: [1.0; 3],
+            offset: [0.0; 3],
+            shift: [0; 3],
+            color_depth,
+        }
+        .to_bytes()
+    });
     rows.collect()
 }
 
@@ -112,12 +98,7 @@ fn normals(cloud: &[TestPoint]) -> Vec<u8> {
         return Vec::new();
     }
     let row = |p: &TestPoint| {
-        PointNormal {
-            normal: p.normal,
-            oriented: p.oriented,
-            from_source: true,
-        }
-        .to_bytes()
+        PointNormal { normal: p.normal, oriented: p.oriented, from_source: true }.to_bytes()
     };
     cloud.iter().flat_map(row).collect()
 }

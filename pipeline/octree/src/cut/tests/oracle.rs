@@ -13,30 +13,19 @@ use crate::cut::CutOptions;
 
 /// Cuts a cloud in any order.
 pub(super) fn cut_slowly(cloud: &[TestPoint], depths: &[u32], options: &CutOptions) -> Tree {
-    let mut oracle = Oracle {
-        options: *options,
-        depths: depths.to_vec(),
-        tree: Tree::default(),
-    };
+    let mut oracle = Oracle { options: *options, depths: depths.to_vec(), tree: Tree::default() };
     let all: Vec<TestPoint> = cloud.to_vec();
     if all.is_empty() {
         return oracle.tree;
     }
-    let whole = Cell {
-        level: 0,
-        corner: [0; 3],
-        bin: -1,
-    };
+    let whole = Cell { level: 0, corner: [0; 3], bin: -1 };
     match options.shape {
         Shape::Paper => oracle.octree(&all, whole, NO_PARENT, 0),
         Shape::Binned => {
             let bins = group(&all, |p| bin_of(p) as u8);
             let root = oracle.open(whole, NO_PARENT, 0, Split::Bins);
             for (&bin, points) in &bins {
-                let bin_cell = Cell {
-                    bin: bin as i8,
-                    ..whole
-                };
+                let bin_cell = Cell { bin: bin as i8, ..whole };
                 oracle.octree(points, bin_cell, root, bin);
             }
             oracle.close(root, all.len());
@@ -73,11 +62,7 @@ impl Oracle {
         };
         for (octant, points) in group(points, octant_of) {
             let corner = [0, 1, 2].map(|i| cell.corner[i] + u32::from(octant >> i & 1) * side);
-            let child = Cell {
-                level,
-                corner,
-                ..cell
-            };
+            let child = Cell { level, corner, ..cell };
             self.octree(&points, child, id, octant);
         }
         self.close(id, points.len());
@@ -102,9 +87,7 @@ impl Oracle {
         let id = self.open(cell, parent, slot, Split::Leaf);
         let centroid = [0, 1, 2].map(|i| mean(points.iter().map(|p| p.g[i])).expect("a point"));
         let distance2 = |p: &TestPoint| -> i128 {
-            (0..3)
-                .map(|i| square(i128::from(p.g[i]) - i128::from(centroid[i])))
-                .sum()
+            (0..3).map(|i| square(i128::from(p.g[i]) - i128::from(centroid[i]))).sum()
         };
         let (normal, two_sided) = self.normal(points);
         let lit: Vec<[u16; 3]> = points.iter().filter_map(|p| self.light(p)).collect();
@@ -117,9 +100,7 @@ impl Oracle {
             radius2: points.iter().map(distance2).max().expect("a point") as u64,
             n_points: points.len() as u64,
             first_code: code_of(cell.corner),
-            patch: points
-                .iter()
-                .fold(Box3::EMPTY, |b, p| b.join(&Box3::at(p.g.map(|v| v as i32)))),
+            patch: points.iter().fold(Box3::EMPTY, |b, p| b.join(&Box3::at(p.g.map(|v| v as i32)))),
             color: (!lit.is_empty()).then_some(color.map(|c| c as u16)),
             level: cell.level,
             bin: cell.bin,
@@ -283,11 +264,7 @@ fn rescaled(sum: [i128; 3]) -> Normal {
         let (mut low, mut high) = (0, 1 << 15);
         while high - low > 1 {
             let middle = (low + high) / 2;
-            if reaches(middle) {
-                low = middle
-            } else {
-                high = middle
-            }
+            if reaches(middle) { low = middle } else { high = middle }
         }
         (low * v.signum()) as i16
     })
@@ -297,11 +274,7 @@ fn root(v: i128) -> i128 {
     let (mut low, mut high) = (0, 1 << 40);
     while high - low > 1 {
         let middle = (low + high) / 2;
-        if middle * middle <= v {
-            low = middle
-        } else {
-            high = middle
-        }
+        if middle * middle <= v { low = middle } else { high = middle }
     }
     low
 }

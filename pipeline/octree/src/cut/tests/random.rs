@@ -32,10 +32,7 @@ fn any_cloud_is_cut_as_the_slow_way_cuts_it() {
             let expected = cut_slowly(&cloud, &DEPTHS, &options);
             for memory_bytes in [0, 3 << 10, 20 << 10, PLENTY] {
                 let found = cut(&octree, &options, memory_bytes, &Quiet).expect("a sound octree");
-                assert_eq!(
-                    found, expected,
-                    "seed {seed}, {options:?}, {memory_bytes} bytes"
-                );
+                assert_eq!(found, expected, "seed {seed}, {options:?}, {memory_bytes} bytes");
             }
             check_routes(&cloud, &expected);
         }
@@ -79,13 +76,7 @@ fn random_cloud(rng: &mut Rng) -> Vec<TestPoint> {
     };
     // A few steps give coincident points; a far corner gives deep cells.
     let side = 1u32 << [1, 2, 4, 8, 16, 21, 22][rng.usize(..7)];
-    let corner = [0; 3].map(|_| {
-        if rng.bool() {
-            0
-        } else {
-            rng.u32(..=GRID_MAX - (side - 1))
-        }
-    });
+    let corner = [0; 3].map(|_| if rng.bool() { 0 } else { rng.u32(..=GRID_MAX - (side - 1)) });
     let style = rng.u8(..6);
     let main = random_direction(rng);
     let mut one = |_| {

@@ -23,11 +23,7 @@ fn room(n_points: usize, seed: u64) -> Vec<TestPoint> {
         let wall = rng.usize(..6);
         let (axis, is_far) = (wall / 2, wall % 2 == 1);
         let mut g = [0; 3].map(|_| rng.u32(..side));
-        g[axis] = if is_far {
-            side - 1 - rng.u32(..64)
-        } else {
-            rng.u32(..64)
-        };
+        g[axis] = if is_far { side - 1 - rng.u32(..64) } else { rng.u32(..64) };
         let mut n = [0; 3].map(|_| 0.1 * (rng.f32() - 0.5));
         n[axis] = if is_far { -1.0 } else { 1.0 };
         TestPoint {
@@ -48,9 +44,7 @@ fn threads_and_windows_change_nothing() {
         let expected = cut_slowly(&cloud, &[8], &options);
         check_routes(&cloud, &expected);
         for n_threads in [1, 2, 3, 8] {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(n_threads)
-                .build();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build();
             for memory_bytes in [0, 1 << 20, PLENTY] {
                 let run = || cut(&octree, &options, memory_bytes, &Quiet);
                 let tree = pool.as_ref().expect("a pool").install(run);
@@ -92,23 +86,14 @@ fn progress_adds_up_and_a_wish_to_stop_is_heard() {
     let bytes = octree_file(&room(20_000, 2), &[8]);
     let octree = OctreeView::open(&bytes).expect("a sound file");
     let run = |listener: &Listener| cut(&octree, &options(Shape::Binned, 8, 50), 0, listener);
-    let patient = Listener {
-        stop_after: u64::MAX,
-        ..Listener::default()
-    };
+    let patient = Listener { stop_after: u64::MAX, ..Listener::default() };
     run(&patient).expect("a sound octree");
     assert_eq!(patient.total.into_inner(), 20_000);
     assert_eq!(patient.n_done.into_inner(), 20_000);
     for stop_after in [0, 3, 100] {
-        let hasty = Listener {
-            stop_after,
-            ..Listener::default()
-        };
+        let hasty = Listener { stop_after, ..Listener::default() };
         let stopped = run(&hasty).expect_err("a wish to stop");
-        assert!(matches!(
-            stopped,
-            OctreeError::Store(StoreError::Interrupted)
-        ));
+        assert!(matches!(stopped, OctreeError::Store(StoreError::Interrupted)));
     }
 }
 
@@ -145,10 +130,7 @@ fn a_flipped_bit_is_found() {
         let octree = OctreeView::open(&bytes).expect("only points are damaged");
         let refused = cut(&octree, &options(Shape::Binned, 8, 50), PLENTY, &Quiet);
         let refused = refused.expect_err("damage");
-        assert!(matches!(
-            refused,
-            OctreeError::Format(FormatError::Checksum { .. })
-        ));
+        assert!(matches!(refused, OctreeError::Format(FormatError::Checksum { .. })));
     }
 }
 
@@ -173,9 +155,7 @@ fn cut_speed() {
     octree.verify().expect("a sound file");
     for shape in [Shape::Paper, Shape::Binned] {
         for n_threads in [1, 2] {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(n_threads)
-                .build();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build();
             let pool = pool.expect("a pool");
             for memory_bytes in [64 << 20, PLENTY] {
                 let start = Instant::now();
