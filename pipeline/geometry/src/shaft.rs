@@ -3,12 +3,9 @@
 //! The hull of two axis-aligned boxes is cut out by its bounding box and by up to twelve planes,
 //! each parallel to an axis, that join a corner edge of one box to the like edge of the other
 //! (Haines and Wallace's shaft). Every number is an integer below 2^50 held in an f64, so the
-//! tests are exact although they are written in floats, which the processor does many at a time.
+//! tests are exact although they are written in floats.
 
 use crate::bounds::Box3;
-
-/// Most planes that join corner edges.
-const N_SIDES: usize = 12;
 
 /// A box by the sum and the difference of its corners: twice its middle, twice its half sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,39 +33,30 @@ impl Doubled {
 pub struct Shaft {
     /// The box around both.
     around: Doubled,
-    /// Outward normals of the sides, a column an axis; sides that are not there are zero.
-    normals: [[f64; N_SIDES]; 3],
-    /// Twice the offsets: n·x ≤ r holds inside.
-    offsets: [f64; N_SIDES],
+    /// What cuts off the corners of the projections along z, x and y.
+    cuts: [Cuts; 3],
+}
+
+/// The half planes that bound one projection of the hull beside its box: at most one a corner.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cuts {
+    sides: [Side; 4],
+    n: usize,
+}
+
+/// p·u + q·v ≤ r holds inside, for twice the coordinates.
+#[derive(Debug, Clone, Copy, Default)]
+struct Side {
+    p: f64,
+    q: f64,
+    r: f64,
 }
 
 impl Shaft {
     /// Spans the shaft between two boxes, neither of them empty.
     pub fn new(a: &Box3, b: &Box3) -> Shaft {
-        let mut shaft = Shaft {
-            around: Doubled::new(&a.join(b)),
-            normals: [[0.0; N_SIDES]; 3],
-            offsets: [0.0; N_SIDES],
-        };
-        let mut side = 0;
-        for (u, v) in [(0, 1), (1, 2), (2, 0)] {
-            for (outer_u, outer_v) in [(-1, -1), (-1, 1), (1, -1), (1, 1)] {
-                let (au, av) = (corner(a, u, outer_u), corner(a, v, outer_v));
-                let (bu, bv) = (corner(b, u, outer_u), corner(b, v, outer_v));
-                let (du, dv) = (outer_u * (bu - au), outer_v * (bv - av));
-                // A corner edge is on the hull where one box reaches further along u and the
-                // other along v; otherwise one corner hides behind the other.
-                if (du > 0 && dv < 0) || (du < 0 && dv > 0) {
-                    let p = f64::from(outer_u * dv.abs());
-                    let q = f64::from(outer_v * du.abs());
-                    shaft.normals[u][side] = p;
-                    shaft.normals[v][side] = q;
-                    shaft.offsets[side] = 2.0 * (p * f64::from(au) + q * f64::from(av));
-                    side += 1;
-                }
-            }
-        }
-        shaft
+        let cuts = [Cuts::new(a, b, 0, 1), Cuts::new(a, b, 1, 2), Cuts::new(a, b, 2, 0)];
+        Shaft { around: Doubled::new(&a.join(b)), cuts }
     }
 
     /// Proves that a box and the shaft have no place in common; `false` proves nothing.
@@ -76,21 +64,43 @@ impl Shaft {
     pub fn misses(&self, other: &Doubled) -> bool {
         let ([x, y, z], [dx, dy, dz]) = (other.sum, other.size);
         let (sum, size) = (&self.around.sum, &self.around.size);
-        let apart = ((x - sum[0]).abs() > dx + size[0])
-            | ((y - sum[1]).abs() > dy + size[1])
-            | ((z - sum[2]).abs() > dz + size[2]);
-        if apart {
-            return true;
+        (x - sum[0]).abs() > dx + size[0]
+            || (y - sum[1]).abs() > dy + size[1]
+            || (z - sum[2]).abs() > dz + size[2]
+            || self.cuts[0].cut_off(x, y, dx, dy)
+            || self.cuts[1].cut_off(y, z, dy, dz)
+            || self.cuts[2].cut_off(z, x, dz, dx)
+    }
+}
+
+impl Cuts {
+    fn new(a: &Box3, b: &Box3, u: usize, v: usize) -> Cuts {
+        let mut cuts = Cuts::default();
+        for (outer_u, outer_v) in [(-1, -1), (-1, 1), (1, -1), (1, 1)] {
+            let (au, av) = (corner(a, u, outer_u), corner(a, v, outer_v));
+            let (bu, bv) = (corner(b, u, outer_u), corner(b, v, outer_v));
+            let (du, dv) = (outer_u * (bu - au), outer_v * (bv - av));
+            // A corner edge is on the hull where one box reaches further along u and the other
+            // along v; otherwise one corner hides behind the other.
+            if (du > 0 && dv < 0) || (du < 0 && dv > 0) {
+                let p = f64::from(outer_u * dv.abs());
+                let q = f64::from(outer_v * du.abs());
+                let r = 2.0 * (p * f64::from(au) + q * f64::from(av));
+                cuts.sides[cuts.n] = Side { p, q, r };
+                cuts.n += 1;
+            }
         }
-        // The corner of the box farthest inside each plane, all planes at once.
-        let [nx, ny, nz] = &self.normals;
-        let mut n_outside = 0u32;
-        for i in 0..N_SIDES {
-            let middle = nx[i] * x + ny[i] * y + nz[i] * z;
-            let half = nx[i].abs() * dx + ny[i].abs() * dy + nz[i].abs() * dz;
-            n_outside += u32::from(middle - half > self.offsets[i]);
-        }
-        n_outside > 0
+        cuts
+    }
+
+    /// Proves that a rectangle, given by twice its middle and twice its half sides, lies outside:
+    /// by its corner farthest inside.
+    #[inline(always)]
+    fn cut_off(&self, u: f64, v: f64, du: f64, dv: f64) -> bool {
+        self.sides
+            .iter()
+            .take(self.n)
+            .any(|side| side.p * u + side.q * v - side.p.abs() * du - side.q.abs() * dv > side.r)
     }
 }
 

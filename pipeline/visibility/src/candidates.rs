@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use multiversion::multiversion;
 use pvmap_geometry::Box3;
 use pvmap_geometry::shaft::{Doubled, Shaft};
 use pvmap_vmap::Tree;
@@ -125,7 +124,6 @@ pub enum Depth {
 
 /// Refines a list for a smaller pair: drops what cannot block, opens what is larger than `depth`
 /// asks, and appends the rest to `list` (the old list is `list[from]`). Gives the nodes tested.
-#[multiversion(targets = "simd")]
 pub fn refine(
     nodes: &[Occluder],
     corridor: &Corridor,
