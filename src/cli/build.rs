@@ -118,10 +118,13 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     let c = &built.report.counts;
     writeln!(
         out,
-        "  work      {} node pairs, {} candidates, {} segments, {} discs met, {} settled exactly",
+        "  work      {} node pairs, {} candidates, {} segments ({} by memory), {} discs loaded, \
+         {} met, {} settled exactly",
         si(c.n_node_pairs as f64),
         si(c.n_candidates as f64),
         si(c.n_segments as f64),
+        si(c.n_remembered as f64),
+        si(c.n_loaded as f64),
         si(c.n_tests as f64),
         si(c.n_exact as f64)
     )?;

@@ -34,6 +34,9 @@ struct Chunk {
     centroid: [[f64; WIDTH]; 3],
     /// R² and what it can be off by.
     reach2: [f64; WIDTH],
+    /// The patch box and what a crossing can be off by; everything for profile `paper`.
+    low: [[f64; WIDTH]; 3],
+    high: [[f64; WIDTH]; 3],
     /// n·c_a - n·c_k for the segment start at hand: which side of each plane it is on.
     side: [f64; WIDTH],
 }
@@ -44,15 +47,23 @@ impl Chunk {
         offset: [0.0; WIDTH],
         centroid: [[0.0; WIDTH]; 3],
         reach2: [0.0; WIDTH],
+        low: [[0.0; WIDTH]; 3],
+        high: [[0.0; WIDTH]; 3],
         side: [0.0; WIDTH],
     };
 
-    fn set(&mut self, k: usize, disc: &Disc) {
+    fn set(&mut self, profile: Profile, k: usize, disc: &Disc) {
         let n = disc.normal.map(f64::from);
         let c = disc.centroid.map(f64::from);
         for i in 0..3 {
             self.normal[i][k] = n[i];
             self.centroid[i][k] = c[i];
+            (self.low[i][k], self.high[i][k]) = match profile {
+                Profile::Patch => {
+                    (f64::from(disc.limit.min[i]) - EPSILON, f64::from(disc.limit.max[i]) + EPSILON)
+                }
+                Profile::Paper => (f64::NEG_INFINITY, f64::INFINITY),
+            };
         }
         self.offset[k] = n[0] * c[0] + n[1] * c[1] + n[2] * c[2];
         let radius2 = disc.radius2 as f64;
@@ -92,8 +103,12 @@ pub struct Counts {
     pub n_node_pairs: u64,
     /// Candidate nodes tested against a pair.
     pub n_candidates: u64,
-    /// Leaf pairs decided by testing discs.
+    /// Leaf pairs whose segment was tested against discs.
     pub n_segments: u64,
+    /// Of these, pairs that a disc of late memory blocks.
+    pub n_remembered: u64,
+    /// Discs loaded to test segments against.
+    pub n_loaded: u64,
     /// Discs that passed the filter and were settled one by one.
     pub n_tests: u64,
     /// Of these, settled by integers because the float bound did not.
@@ -106,6 +121,8 @@ impl Counts {
         self.n_node_pairs += other.n_node_pairs;
         self.n_candidates += other.n_candidates;
         self.n_segments += other.n_segments;
+        self.n_remembered += other.n_remembered;
+        self.n_loaded += other.n_loaded;
         self.n_tests += other.n_tests;
         self.n_exact += other.n_exact;
     }
@@ -113,14 +130,44 @@ impl Counts {
 
 impl Blockers {
     /// Loads the discs with these surfel ids.
-    pub fn load(&mut self, discs: &[Disc], ids: impl Iterator<Item = u32>) {
+    pub fn load(&mut self, profile: Profile, discs: &[Disc], ids: impl Iterator<Item = u32>) {
         self.ids.clear();
         self.ids.extend(ids);
         self.chunks.clear();
         self.chunks.resize(self.ids.len().div_ceil(WIDTH), Chunk::EMPTY);
         for (i, &id) in self.ids.iter().enumerate() {
-            self.chunks[i / WIDTH].set(i % WIDTH, &discs[id as usize]);
+            self.chunks[i / WIDTH].set(profile, i % WIDTH, &discs[id as usize]);
         }
+    }
+
+    /// Counts the discs.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Says whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.ids.is_empty()
+    }
+
+    /// Gives the surfel at a position of the list.
+    pub fn id(&self, position: usize) -> u32 {
+        self.ids[position]
+    }
+
+    /// Says whether a surfel is in the list.
+    pub fn contains(&self, id: u32) -> bool {
+        self.ids.contains(&id)
+    }
+
+    /// Puts a surfel at a position, at most one past the end.
+    pub fn put(&mut self, profile: Profile, position: usize, discs: &[Disc], id: u32) {
+        if position == self.ids.len() {
+            self.ids.push(id);
+            self.chunks.resize(self.ids.len().div_ceil(WIDTH), Chunk::EMPTY);
+        }
+        self.ids[position] = id;
+        self.chunks[position / WIDTH].set(profile, position % WIDTH, &discs[id as usize]);
     }
 
     /// Sets the start of the segments that follow.
@@ -128,21 +175,15 @@ impl Blockers {
         start_chunks(&mut self.chunks, a.centroid);
     }
 
-    /// Finds a disc that blocks the segment from the start set before to `b`, trying `hint` (a
-    /// position in the list) first; gives its position.
+    /// Finds a disc that blocks the segment from the start set before to `b`; gives its position.
     pub fn find(
         &self,
         profile: Profile,
         discs: &[Disc],
         a: &End,
         b: &End,
-        hint: usize,
         counts: &mut Counts,
     ) -> Option<usize> {
-        counts.n_segments += 1;
-        if hint < self.ids.len() && self.blocks(profile, discs, a, b, hint, counts) {
-            return Some(hint);
-        }
         let mut at = 0;
         while let Some((chunk, passed)) = find_chunk(&self.chunks, at, a.centroid, b.centroid) {
             for k in (0..WIDTH).filter(|&k| passed[k] != 0) {
@@ -184,6 +225,32 @@ impl Blockers {
     }
 }
 
+/// The discs that blocked lately: the next segment is close to the one before and likely meets one
+/// of them too, which spares it the search for candidates.
+#[derive(Debug, Default)]
+pub struct Recent {
+    blockers: Blockers,
+    next: usize,
+}
+
+/// Discs remembered: two chunks of the filter.
+const N_RECENT: usize = 2 * WIDTH;
+
+impl Recent {
+    /// Gives the discs.
+    pub fn blockers(&mut self) -> &mut Blockers {
+        &mut self.blockers
+    }
+
+    /// Remembers a disc, forgetting the oldest. The next segment must set its start anew.
+    pub fn remember(&mut self, profile: Profile, discs: &[Disc], id: u32) {
+        if !self.blockers.contains(id) {
+            self.blockers.put(profile, self.next, discs, id);
+            self.next = (self.next + 1) % N_RECENT;
+        }
+    }
+}
+
 /// Computes for every disc which side of its plane the start of the coming segments is on.
 #[multiversion(targets = "simd")]
 fn start_chunks(chunks: &mut [Chunk], c: [f64; 3]) {
@@ -196,8 +263,8 @@ fn start_chunks(chunks: &mut [Chunk], c: [f64; 3]) {
 }
 
 /// Finds the first chunk from `at` on in which some disc may block the segment a…b: its plane
-/// crosses strictly between the ends, and not farther from its centroid than its radius and what
-/// the floats can be off by. Gives the chunk and a flag a disc.
+/// crosses strictly between the ends, not farther from its centroid than its radius and within its
+/// patch box, give or take what the floats can be off by. Gives the chunk and a flag a disc.
 #[multiversion(targets = "simd")]
 fn find_chunk(
     chunks: &[Chunk],
@@ -215,9 +282,15 @@ fn find_chunk(
             let there = nx[k] * b[0] + ny[k] * b[1] + nz[k] * b[2] - chunk.offset[k];
             // Where the signs agree t is no share of the segment, or NaN, and is not looked at.
             let t = here / (here - there);
-            let (x, y, z) =
-                (a[0] + t * d[0] - cx[k], a[1] + t * d[1] - cy[k], a[2] + t * d[2] - cz[k]);
-            let near = x * x + y * y + z * z <= chunk.reach2[k];
+            let (x, y, z) = (a[0] + t * d[0], a[1] + t * d[1], a[2] + t * d[2]);
+            let (u, v, w) = (x - cx[k], y - cy[k], z - cz[k]);
+            let near = (u * u + v * v + w * w <= chunk.reach2[k])
+                & (x >= chunk.low[0][k])
+                & (x <= chunk.high[0][k])
+                & (y >= chunk.low[1][k])
+                & (y <= chunk.high[1][k])
+                & (z >= chunk.low[2][k])
+                & (z <= chunk.high[2][k]);
             passed[k] = u8::from((here * there < 0.0) & near);
         }
         if passed != [0; WIDTH] {
@@ -301,11 +374,10 @@ mod tests {
             let discs: Vec<Disc> = (0..rng.usize(3..40)).map(|_| disc(&mut rng, size)).collect();
             let (a, b) = (End::new(&discs, 0), End::new(&discs, 1));
             let mut blockers = Blockers::default();
-            blockers.load(&discs, 0..discs.len() as u32);
             for profile in [Profile::Paper, Profile::Patch] {
+                blockers.load(profile, &discs, 0..discs.len() as u32);
                 blockers.start_at(&a);
-                let hint = rng.usize(0..discs.len());
-                let found = blockers.find(profile, &discs, &a, &b, hint, &mut counts);
+                let found = blockers.find(profile, &discs, &a, &b, &mut counts);
                 let exact = |k: &usize| disc::blocks(profile, &discs[0], &discs[1], &discs[*k]);
                 assert!(found.iter().all(|k| *k > 1 && exact(k)), "{profile:?} {discs:?}");
                 let any = (2..discs.len()).any(|k| exact(&k));

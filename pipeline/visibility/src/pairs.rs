@@ -13,7 +13,7 @@ use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{Corridor, Depth, Occluder, refine};
-use crate::kernel::{Blockers, Counts, End};
+use crate::kernel::{Blockers, Counts, End, Recent};
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,11 +82,12 @@ pub struct Decider<'a> {
     /// Candidate lists of the open pairs, one behind the other.
     candidates: Vec<u32>,
     blockers: Blockers,
+    recent: Recent,
     /// Gathered statuses that are not in use.
     spare: Vec<Gathered>,
-    /// Where in the list the last blocker was: the next segment is likely to meet it too.
-    last_blocker: usize,
-    /// What the kernel did so far.
+    /// Leaf pairs of the pair at hand that are not settled yet.
+    open: Vec<(u32, u32)>,
+    /// What it took so far.
     pub counts: Counts,
 }
 
@@ -97,8 +98,9 @@ impl<'a> Decider<'a> {
             scene,
             candidates: Vec::new(),
             blockers: Blockers::default(),
+            recent: Recent::default(),
             spare: Vec::new(),
-            last_blocker: 0,
+            open: Vec::new(),
             counts: Counts::default(),
         }
     }
@@ -113,36 +115,37 @@ impl<'a> Decider<'a> {
     /// Decides a pair given a list that holds all its blockers.
     fn pair(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         self.counts.n_node_pairs += 1;
-        let Scene { tree, bounds, occluders, .. } = self.scene;
-        let (bound_a, bound_b) = (&bounds[a as usize], &bounds[b as usize]);
-        let facing = bounds::facing(bound_a, bound_b);
+        let Scene { tree, bounds, .. } = self.scene;
+        let facing = bounds::facing(&bounds[a as usize], &bounds[b as usize]);
         if facing == Facing::Never {
             return Status::Invisible;
         }
-        let (node_a, node_b) = (&tree.nodes[a as usize], &tree.nodes[b as usize]);
-        let last = self.ends_in_leaves(a) && self.ends_in_leaves(b);
-        let depth = match last {
-            true => Depth::Leaves,
-            false => Depth::Level(node_a.level.max(node_b.level)),
-        };
-        let start = self.candidates.len();
-        let corridor = Corridor::new(bound_a, bound_b);
-        self.counts.n_candidates += refine(occluders, &corridor, depth, &mut self.candidates, list);
-        let refined = start..self.candidates.len();
+        if self.ends_in_leaves(a) && self.ends_in_leaves(b) {
+            return self.leaf_pairs(a, b, list, links);
+        }
+        let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
+        let refined = self.refined(a, b, Depth::Level(level), list);
         let status = if refined.is_empty() && facing == Facing::All {
             Status::Visible
-        } else if last {
-            self.leaf_pairs(a, b, refined, links)
         } else {
-            self.child_pairs(a, b, refined, links)
+            self.child_pairs(a, b, refined.clone(), links)
         };
-        self.candidates.truncate(start);
+        self.candidates.truncate(refined.start);
         status
     }
 
     /// Says whether kids(A) are leaves.
     fn ends_in_leaves(&self, id: u32) -> bool {
         self.scene.tree.kids(id).all(|k| self.scene.tree.nodes[k as usize].is_leaf())
+    }
+
+    /// Refines a list for a pair; the caller gives the room back.
+    fn refined(&mut self, a: u32, b: u32, depth: Depth, list: Range<usize>) -> Range<usize> {
+        let Scene { bounds, occluders, .. } = self.scene;
+        let start = self.candidates.len();
+        let corridor = Corridor::new(&bounds[a as usize], &bounds[b as usize]);
+        self.counts.n_candidates += refine(occluders, &corridor, depth, &mut self.candidates, list);
+        start..self.candidates.len()
     }
 
     fn child_pairs(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
@@ -157,34 +160,70 @@ impl<'a> Decider<'a> {
         self.settle(gathered, links)
     }
 
-    /// Decides kids(A) × kids(B), all leaves, against one list of leaves.
+    /// Decides kids(A) × kids(B), all leaves. What discs of late memory block is settled first;
+    /// only if something is left are candidates looked for.
     fn leaf_pairs(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
-        let Scene { tree, discs, profile, .. } = self.scene;
-        let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        let ids = self.candidates[list].iter().map(|&node| surfel(node));
-        self.blockers.load(discs, ids);
         let mut gathered = self.spare.pop().unwrap_or_default();
-        for x in tree.kids(a) {
-            let from = End::new(discs, surfel(x));
-            self.blockers.start_at(&from);
-            for y in tree.kids(b) {
-                let to = End::new(discs, surfel(y));
-                let visible = faces_both(&discs[from.id as usize], &discs[to.id as usize])
-                    && !self.is_blocked(profile, &from, &to);
-                let status = if visible { Status::Visible } else { Status::Invisible };
-                gathered.note(x, y, status);
-            }
+        self.open.clear();
+        self.try_recent(a, b, &mut gathered);
+        if !self.open.is_empty() {
+            let refined = self.refined(a, b, Depth::Leaves, list);
+            self.try_candidates(refined.clone(), &mut gathered);
+            self.candidates.truncate(refined.start);
         }
         self.settle(gathered, links)
     }
 
-    fn is_blocked(&mut self, profile: Profile, from: &End, to: &End) -> bool {
-        let hint = self.last_blocker;
-        let found = self.blockers.find(profile, self.scene.discs, from, to, hint, &mut self.counts);
-        if let Some(k) = found {
-            self.last_blocker = k;
+    /// Settles leaf pairs that do not face each other or that a remembered disc blocks.
+    fn try_recent(&mut self, a: u32, b: u32, gathered: &mut Gathered) {
+        let Scene { tree, discs, profile, .. } = self.scene;
+        let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
+        for x in tree.kids(a) {
+            let from = End::new(discs, surfel(x));
+            self.recent.blockers().start_at(&from);
+            for y in tree.kids(b) {
+                let to = End::new(discs, surfel(y));
+                if !faces_both(&discs[from.id as usize], &discs[to.id as usize]) {
+                    gathered.note(x, y, Status::Invisible);
+                    continue;
+                }
+                self.counts.n_segments += 1;
+                let remembered = self.recent.blockers();
+                if remembered.find(profile, discs, &from, &to, &mut self.counts).is_some() {
+                    self.counts.n_remembered += 1;
+                    gathered.note(x, y, Status::Invisible);
+                } else {
+                    self.open.push((x, y));
+                }
+            }
         }
-        found.is_some()
+    }
+
+    /// Settles the open leaf pairs against a list that holds all their blockers.
+    fn try_candidates(&mut self, list: Range<usize>, gathered: &mut Gathered) {
+        let Scene { tree, discs, profile, .. } = self.scene;
+        let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
+        let ids = self.candidates[list].iter().map(|&node| surfel(node));
+        self.blockers.load(profile, discs, ids);
+        self.counts.n_loaded += self.blockers.len() as u64;
+        let open = std::mem::take(&mut self.open);
+        for group in open.chunk_by(|p, q| p.0 == q.0) {
+            let from = End::new(discs, surfel(group[0].0));
+            self.blockers.start_at(&from);
+            for &(x, y) in group {
+                let to = End::new(discs, surfel(y));
+                let found = self.blockers.find(profile, discs, &from, &to, &mut self.counts);
+                let status = match found {
+                    None => Status::Visible,
+                    Some(position) => {
+                        self.recent.remember(profile, discs, self.blockers.id(position));
+                        Status::Invisible
+                    }
+                };
+                gathered.note(x, y, status);
+            }
+        }
+        self.open = open;
     }
 
     fn settle(&mut self, mut gathered: Gathered, links: &mut Vec<Pair>) -> Status {
