@@ -251,6 +251,9 @@ pub fn floor(n: u64) -> impl Fn(u64) -> [i32; 3] {
     move |i| [(i % n * 10) as i32, (i / n * 10) as i32, 0]
 }
 
+/// Where a LAS header has its bounds: max and min, an axis at a time.
+pub const LAS_BOUNDS: u64 = 179;
+
 /// Writes bytes over others.
 pub fn patch(path: &Path, at: u64, bytes: &[u8]) {
     use std::os::unix::fs::FileExt;
@@ -258,28 +261,27 @@ pub fn patch(path: &Path, at: u64, bytes: &[u8]) {
     file.write_all_at(bytes, at).unwrap();
 }
 
-/// Gives a text PLY of a floor, z = 0, and a ceiling, z = 1, of `n` × `n` points with normals that
-/// face each other. A point of the one and a point of the other see each other.
+/// Gives a text PLY of a floor, z = -1, and a ceiling, z = 1, of `n` × `n` points each, x and y
+/// from -1 to 1. Their normals face each other: a point of the one sees all of the other.
 pub fn room_ply(n: u32) -> String {
-    let mut text = ply_header(2 * n * n, "xyz");
-    text.insert_str(
-        text.len() - "end_header\n".len(),
-        "property float nx\nproperty float ny\nproperty float nz\n",
-    );
-    for (z, nz) in [(0, 1), (1, -1)] {
+    let mut text = ply_header(2 * n * n, &["x", "y", "z", "nx", "ny", "nz"]);
+    for z in [-1, 1] {
         for i in 0..n * n {
-            let at = |v: u32| f64::from(v) / f64::from(n - 1);
-            writeln!(text, "{} {} {z} 0 0 {nz}", at(i % n), at(i / n)).unwrap();
+            let [x, y] = [i % n, i / n].map(|v| 2.0 * f64::from(v) / f64::from(n - 1) - 1.0);
+            writeln!(text, "{x} {y} {z} 0 0 {}", -z).unwrap();
         }
     }
     text
 }
 
-/// Gives the header of a text PLY with `float` vertex properties of these one-letter names.
-pub fn ply_header(n_points: u32, names: &str) -> String {
+/// Gives the header of a text PLY whose vertices have `float` properties of these names.
+pub fn ply_header(n_points: u32, names: &[&str]) -> String {
     let mut text = format!("ply\nformat ascii 1.0\nelement vertex {n_points}\n");
-    for name in names.chars() {
+    for name in names {
         writeln!(text, "property float {name}").unwrap();
     }
     text + "end_header\n"
 }
+
+/// The properties of a point without attributes.
+pub const XYZ: [&str; 3] = ["x", "y", "z"];

@@ -2,7 +2,9 @@
 //! through the facade.
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use fastrand::Rng;
 use pvmap::geometry::{PointBatch, Positions};
@@ -18,6 +20,24 @@ pub const LIMITS: Limits = Limits { threads: 2, memory_bytes: 1 << 30 };
 /// Says whether the long form of a test is asked for.
 pub fn is_slow_run() -> bool {
     std::env::var_os("PVMAP_SLOW_TESTS").is_some()
+}
+
+/// Runs pieces 0…n-1 of a test on plain threads; gives the results in no order.
+///
+/// Not on rayon's: a worker that waits for the pool of a build takes up the next piece meanwhile,
+/// and in that one the next, until its stack is full.
+pub fn on_threads<T: Send>(n: u64, work: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let next = AtomicU64::new(0);
+    let run = || {
+        let pieces = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
+        pieces.take_while(|&i| i < n).map(&work).collect::<Vec<T>>()
+    };
+    let n_threads = std::thread::available_parallelism().map_or(2, NonZero::get);
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..n_threads).map(|_| scope.spawn(run)).collect();
+        let done = threads.into_iter().map(|t| t.join());
+        done.flat_map(|d| d.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
 }
 
 /// Points before they are a file.
@@ -90,9 +110,15 @@ impl Cloud {
 /// Makes 5 to 400 points of a random kind on a lattice of a random width, with normals on most.
 ///
 /// Lattices of a few steps a side bring coincident points, shared centroids and ties; wide ones
-/// bring the general case and the largest numbers.
+/// bring the general case and the largest numbers; on aligned ones points are corners of cells,
+/// and segments touch cells in a place, an edge or a side.
 pub fn random_cloud(rng: &mut Rng) -> Cloud {
-    let side = if rng.bool() { rng.i32(1..12) } else { 1 << rng.u32(5..30) };
+    let is_aligned = rng.u8(..4) == 0;
+    let (side, low_bits) = match rng.bool() {
+        _ if is_aligned => ((1 << 22) - 1, rng.u32(17..22)),
+        true => (rng.i32(1..12), 0),
+        false => (1 << rng.u32(5..30), 0),
+    };
     let n = 5 + rng.usize(..396).min(rng.usize(..396));
     let kind = rng.u8(..5);
     let jitter = [0.0, 0.02, 0.8][rng.usize(..3)];
@@ -101,10 +127,14 @@ pub fn random_cloud(rng: &mut Rng) -> Cloud {
     let mut normals = Vec::with_capacity(n);
     for _ in 0..n {
         let (p, normal) = random_point(rng, kind, side);
-        positions.push(p);
+        positions.push(p.map(|c| c >> low_bits << low_bits));
         let shaken = normal.map(|c| c + jitter * (rng.f32() - 0.5));
         let broken = if rng.bool() { [0.0; 3] } else { [f32::NAN, 0.0, 1.0] };
         normals.push(if rng.u8(..16) < missing { broken } else { shaken });
+    }
+    if is_aligned {
+        // With these the grid is the lattice.
+        (positions[0], positions[1]) = ([0; 3], [side; 3]);
     }
     Cloud { positions: Positions::Lattice(positions), normals: Some(normals), colors: None }
 }

@@ -23,7 +23,6 @@ pub struct Disc {
     pub patch: (Vector, Vector),
     pub half_spacing: i128,
     pub n_points: u64,
-    pub level: u8,
     pub bin: i8,
     pub node: usize,
 }
@@ -222,7 +221,6 @@ fn disc(s: &Surfel) -> Disc {
         patch: (wide(s.patch.min), wide(s.patch.max)),
         half_spacing: i128::from(s.half_spacing),
         n_points: s.n_points,
-        level: s.level,
         bin: s.bin,
         node: s.node as usize,
     }

@@ -1,6 +1,6 @@
 //! An artifact taken apart and put together again under right checksums, as a hostile program
 //! would do it. Sections 2 of FORMAT.md.
-#![allow(unreachable_pub, reason = "a part of a test")]
+#![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 
 use pvmap::vmap::container::{BLOCK_BYTES, Written, align, close, head_bytes};
 use pvmap::vmap::{Container, Kind};

@@ -69,7 +69,12 @@ impl Frame {
         let Frame::Lattice { scale, min, extent, .. } = self else {
             unreachable!("lattice coordinates in a world frame")
         };
-        [0, 1, 2].map(|i| step((x[i] - min[i]) as f64 * scale[i], *extent))
+        // Written out: the compiler does not inline a closure over an array here.
+        [
+            step((x[0] - min[0]) as f64 * scale[0], *extent),
+            step((x[1] - min[1]) as f64 * scale[1], *extent),
+            step((x[2] - min[2]) as f64 * scale[2], *extent),
+        ]
     }
 
     /// Places a stored world point on the grid. The frame is `World`, `x` ≥ its minimum.
@@ -78,7 +83,7 @@ impl Frame {
         let Frame::World { min, extent } = self else {
             unreachable!("world coordinates in a lattice frame")
         };
-        [0, 1, 2].map(|i| step(x[i] - min[i], *extent))
+        [step(x[0] - min[0], *extent), step(x[1] - min[1], *extent), step(x[2] - min[2], *extent)]
     }
 
     /// Places a query's world coordinates on the grid.

@@ -14,13 +14,27 @@ pub const BIN_NONE: u8 = 6;
 /// Each component is n / |n| · 2^14 rounded half away from zero. In f64 the square of no f32
 /// overflows or vanishes, so lengths from 1e-38 to 1e38 count alike.
 pub fn quantise(n: [f32; 3]) -> Option<Normal> {
-    let n = n.map(f64::from);
-    let largest = n[0].abs().max(n[1].abs()).max(n[2].abs());
-    if !(n.iter().all(|v| v.is_finite()) && largest > 0.0) {
+    if !is_direction(n) {
         return None;
     }
-    let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-    Some(n.map(|v| (v / length * f64::from(NORMAL_LENGTH)).round() as i16))
+    let [x, y, z] = n.map(f64::from);
+    let length = (x * x + y * y + z * z).sqrt();
+    let scaled = |v: f64| round_half_away(v / length * f64::from(NORMAL_LENGTH));
+    Some([scaled(x), scaled(y), scaled(z)])
+}
+
+/// Says whether a vector has a direction: it is finite and not zero.
+#[inline]
+pub fn is_direction(n: [f32; 3]) -> bool {
+    n[0].is_finite() && n[1].is_finite() && n[2].is_finite() && n != [0.0; 3]
+}
+
+/// Rounds a number below 2^15 exactly as `f64::round`, which is a call on plain x86-64.
+#[inline(always)]
+fn round_half_away(v: f64) -> i16 {
+    let whole = v as i32;
+    let rest = v - f64::from(whole);
+    (whole + i32::from(rest >= 0.5) - i32::from(rest <= -0.5)) as i16
 }
 
 /// Rescales an integer vector to length 2^14, each component rounded half away from zero,

@@ -212,9 +212,9 @@ impl Placement {
     #[inline]
     pub fn lattice(&self, record: &[u8]) -> Option<[i64; 3]> {
         let mut r = FieldReader::new(record);
-        let x = r.three(FieldReader::i32).map(i64::from);
+        let [x, y, z] = r.three(FieldReader::i32);
         let shift = self.source(record)?.shift;
-        Some([0, 1, 2].map(|i| x[i] + shift[i]))
+        Some([i64::from(x) + shift[0], i64::from(y) + shift[1], i64::from(z) + shift[2]])
     }
 
     /// Gives the world position of a record; `None` where it names no source.

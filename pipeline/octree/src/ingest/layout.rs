@@ -228,7 +228,12 @@ impl Layout {
         let mut put = |g: GridPoint| codes.push(morton::encode(g));
         match (&batch.positions, frame) {
             (Positions::Lattice(v), Frame::Lattice { .. }) => v.iter().for_each(|x| {
-                put(frame.grid_of_lattice([0, 1, 2].map(|i| i64::from(x[i]) + source.shift[i])));
+                let [a, b, c] = source.shift;
+                put(frame.grid_of_lattice([
+                    i64::from(x[0]) + a,
+                    i64::from(x[1]) + b,
+                    i64::from(x[2]) + c,
+                ]));
             }),
             (Positions::Lattice(v), Frame::World { .. }) => v.iter().for_each(|x| {
                 put(frame.grid_of_world(world_of(source, *x)));

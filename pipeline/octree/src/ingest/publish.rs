@@ -8,6 +8,7 @@ use pvmap_geometry::normal::{Normal, quantise};
 use pvmap_store::sections::{Scattered, Section};
 use pvmap_store::{SectionFile, StoreError};
 use pvmap_vmap::OctreeSummary;
+use pvmap_vmap::bytes::FieldReader;
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::frame::{CrsKind, FrameRecord};
 use pvmap_vmap::octree::{
@@ -161,8 +162,9 @@ impl Job<'_> {
     fn rows_of(&self, records: &[u8], tally: &Tally) -> Vec<u8> {
         let n_points = records.len() / self.sorting.layout.schema.record_bytes();
         let mut rows = Vec::with_capacity(n_points * NORMAL_BYTES);
+        let at = self.normal_at().expect("rows are made of records that have normals");
         tally.add(self.keys(records, |record| {
-            let normal = self.file_normal(record);
+            let normal = Self::file_normal(record, at);
             let known = normal.is_some();
             let normal = normal.unwrap_or_default();
             let row = PointNormal { normal, oriented: known, from_source: known };
@@ -185,13 +187,15 @@ impl Job<'_> {
         })
     }
 
-    fn file_normal(&self, record: &[u8]) -> Option<Normal> {
-        let at = self.sorting.layout.schema.column("normal")?.offset;
-        let component = |i: usize| {
-            let bytes = record[at + 4 * i..at + 4 * i + 4].try_into();
-            f32::from_le_bytes(bytes.expect("four bytes"))
-        };
-        quantise([0, 1, 2].map(component))
+    /// Reads the normal that the source of a record brought, given where in the record it is.
+    fn file_normal(record: &[u8], at: usize) -> Option<Normal> {
+        let mut fields = FieldReader::new(&record[at..]);
+        quantise(fields.three(FieldReader::f32))
+    }
+
+    /// Gives where in a record the normal is.
+    fn normal_at(&self) -> Option<usize> {
+        self.sorting.layout.schema.column("normal").map(|c| c.offset)
     }
 
     fn estimate(
@@ -202,7 +206,8 @@ impl Job<'_> {
         wanted: Wanted,
         tally: &Tally,
     ) -> Result<(), OctreeError> {
-        let sorted = Sorted { job: self, file, points, file_normals: wanted == Wanted::Missing };
+        let normal_at = self.normal_at().filter(|_| wanted == Wanted::Missing);
+        let sorted = Sorted { job: self, file, points, normal_at };
         let side = self.options.orientation.in_frame(self.sorting.placement.frame());
         let budget = self.options.memory_bytes;
         let mut known = Vec::new();
@@ -287,8 +292,8 @@ struct Sorted<'a> {
     job: &'a Job<'a>,
     file: &'a SectionFile,
     points: &'a Section,
-    /// Whether normals of the records count; else all are to be estimated.
-    file_normals: bool,
+    /// Where normals of the records are, if they count; else all are to be estimated.
+    normal_at: Option<usize>,
 }
 
 impl SortedPoints for Sorted<'_> {
@@ -304,7 +309,7 @@ impl SortedPoints for Sorted<'_> {
         out.clear();
         out.extend(bytes.chunks_exact(stride).map(|record| {
             let g = self.job.sorting.placement.grid(record);
-            let normal = if self.file_normals { self.job.file_normal(record) } else { None };
+            let normal = self.normal_at.and_then(|at| Job::file_normal(record, at));
             KnownPoint { g: g.expect("packed records name their source"), normal }
         }));
         Ok(())

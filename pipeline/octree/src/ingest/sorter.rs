@@ -263,7 +263,7 @@ impl<'a> Worker<'a> {
             source.color_max = source.color_max.max(r.max(g).max(b));
         }
         for &n in batch.normal.iter().flatten() {
-            source.n_normals += u64::from(pvmap_geometry::normal::quantise(n).is_some());
+            source.n_normals += u64::from(pvmap_geometry::normal::is_direction(n));
         }
         // A thousandth of the points is plenty; every 61st keeps the stride off a scanner's rows.
         for record in self.packed.chunks_exact(self.layout.schema.record_bytes()).step_by(61) {
