@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use pvmap_octree::cut::{CutOptions, cut};
-use pvmap_store::{Mapped, Watch};
+use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
 use pvmap_vmap::octree::FILE_NAME;
 use pvmap_vmap::{FormatError, OctreeView};
@@ -24,7 +24,18 @@ pub struct Built {
 /// # Errors
 /// Where the folder or the file in it cannot be opened.
 pub fn open_octree(path: &Path) -> Result<Mapped, Error> {
-    Ok(Mapped::open(&path.join(FILE_NAME))?)
+    let points = path.join(FILE_NAME);
+    if path.exists() && !points.exists() {
+        let what = if path.is_dir() { "a folder without points" } else { "a file" };
+        return Err(Error::Data(format!(
+            "{}: not an octree ({what}); make one with pvmap ingest",
+            path.display()
+        )));
+    }
+    if !path.exists() {
+        return Err(StoreError::NotFound { path: path.to_path_buf() }.into());
+    }
+    Ok(Mapped::open(&points)?)
 }
 
 /// Cuts an octree as the configuration says and makes its visibility map.

@@ -326,7 +326,7 @@ pub fn default_output(input: &Path) -> PathBuf {
 /// Says whether an output would replace one of its inputs (F33).
 pub fn is_input(output: &Path, inputs: &[PathBuf]) -> Result<bool, StoreError> {
     let Ok(output) = InputFile::open(output) else { return Ok(false) };
-    for input in inputs {
+    for input in inputs.iter().filter(|i| i.is_file()) {
         if InputFile::open(input)?.identity().inode == output.identity().inode {
             return Ok(true);
         }

@@ -11,6 +11,8 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use pvmap::{Watch, memory};
 
+use crate::cli::one_line;
+
 /// How progress is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Mode {
@@ -136,7 +138,7 @@ impl Watch for Progress {
         let stage = lock(&self.shared.stage);
         let print = || match self.shared.mode {
             Mode::Json => say(&serde_json::json!({ "warning": message }).to_string()),
-            _ => say(&format!("pvmap: warning: {message}")),
+            _ => say(&format!("pvmap: warning: {}", one_line(message))),
         };
         match stage.as_ref().and_then(|s| s.bar.as_ref()) {
             Some(bar) => bar.suspend(print),
@@ -180,7 +182,8 @@ impl Shared {
     fn print(&self, stage: &Stage, done: u64, ended: bool) {
         let seconds = stage.started.elapsed().as_secs_f64();
         let rate = done as f64 / seconds.max(1e-9);
-        let eta = stage.total.map(|t| t.saturating_sub(done) as f64 / rate.max(1e-9));
+        let left = stage.total.filter(|_| done > 0).map(|t| t.saturating_sub(done));
+        let eta = left.map(|n| n as f64 / rate);
         match self.mode {
             Mode::Json => say(&serde_json::json!({
                 "stage": stage.name, "done": done, "total": stage.total, "unit": stage.unit,

@@ -1,5 +1,7 @@
 //! The table of rooms in `pipeline/README.md` is what `cargo metadata` says.
 
+#![allow(clippy::unwrap_used)] // A panic is how a test fails.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::config::{RawConfig, RawProfile, RawTree};
 use pvmap::{Built, Error};
 
-use super::{Context, Outcome, mib};
+use super::{Context, Outcome, mib, refuse_input};
 use crate::progress::si;
 
 /// Cut an octree into surfels and make its visibility map.
@@ -68,6 +68,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         Some(output) => output.clone(),
         None => default_output(&octree),
     };
+    refuse_input(&output, &[octree.join(pvmap::vmap::octree::FILE_NAME)])?;
     let built = pvmap::build(&octree, &output, &config, &limits, &context.progress)?;
     print(&output, &built, context)?;
     Ok(ExitCode::SUCCESS)

@@ -6,9 +6,9 @@ use std::process::ExitCode;
 
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, MapView};
-use pvmap::{AtomicFile, Error, StoreError};
+use pvmap::{AtomicFile, Error, StoreError, Watch};
 
-use super::{Outcome, map_file};
+use super::{Context, Outcome, map_file, refuse_input};
 
 /// Write surfels, nodes and links of a map as CSV, in grid steps and ids.
 #[derive(Debug, clap::Args)]
@@ -32,22 +32,26 @@ pub(super) struct Args {
 const SURFEL_HEADER: &str = "surfel,cx,cy,cz,nx,ny,nz,r2,cell_x,cell_y,cell_z,cell_level,\
 min_x,min_y,min_z,max_x,max_y,max_z,n_points,two_sided";
 
-pub(super) fn run(args: &Args) -> Outcome {
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     if args.surfels.is_none() && args.nodes.is_none() && args.links.is_none() {
         let message = "nothing to write: give --surfels, --nodes or --links".to_owned();
         return Err(Error::Usage(message).into());
     }
+    for output in [&args.surfels, &args.nodes, &args.links].into_iter().flatten() {
+        refuse_input(output, std::slice::from_ref(&args.map))?;
+    }
     let (path, bytes) = map_file(&args.map)?;
+    let watch = &context.progress;
     let named = |e: FormatError| Error::artifact(&path, e);
     let view = MapView::open(&bytes).map_err(named)?;
     if let Some(output) = &args.surfels {
-        write(output, SURFEL_HEADER, |out| surfels(&view, &path, out))?;
+        write(output, SURFEL_HEADER, |out| surfels(&view, &path, out, watch))?;
     }
     if let Some(output) = &args.nodes {
-        write(output, "node,parent,level,bin,surfel", |out| nodes(&view, &path, out))?;
+        write(output, "node,parent,level,bin,surfel", |out| nodes(&view, &path, out, watch))?;
     }
     if let Some(output) = &args.links {
-        write(output, "node_a,node_b", |out| links(&view, &path, out))?;
+        write(output, "node_a,node_b", |out| links(&view, &path, out, watch))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -68,8 +72,9 @@ fn write(
     Ok(file.commit()?)
 }
 
-fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
     for id in 0..view.summary().n_surfels {
+        watch.check()?;
         let s = view.surfel(id).map_err(|e| Error::artifact(path, e))?;
         let [cx, cy, cz] = s.centroid;
         let [nx, ny, nz] = s.normal;
@@ -88,8 +93,9 @@ fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> 
     Ok(())
 }
 
-fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
     for id in 0..view.summary().n_nodes {
+        watch.check()?;
         let node = view.node(id).map_err(|e| Error::artifact(path, e))?;
         let parent = if id == 0 { -1 } else { i64::from(node.parent) };
         let surfel = if node.is_leaf() { i64::from(node.first_surfel) } else { -1 };
@@ -99,8 +105,9 @@ fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
     Ok(())
 }
 
-fn links(view: &MapView<'_>, path: &Path, out: &mut Out) -> Result<(), Error> {
+fn links(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
     for block in 0..view.n_link_blocks() {
+        watch.check()?;
         let lists = view.link_lists(block).map_err(|e| Error::artifact(path, e))?;
         for (a, b) in lists.iter() {
             writeln!(out, "{a},{b}").map_err(|e| StoreError::io(path, "write a table of", e))?;

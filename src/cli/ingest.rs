@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::scan::ReadOptions;
 use pvmap::{Error, IngestRequest, Ingested, Limits, NormalsFrom, Orientation, Watch, memory};
 
-use super::{Context, Outcome, mib, parse_point};
+use super::{Context, Outcome, mib, parse_point, refuse_input};
 use crate::progress::si;
 
 /// Stream scan files into a sorted octree on disk.
@@ -65,10 +65,7 @@ enum Normals {
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let output = output(args)?;
-    if pvmap::is_input(&output, &args.inputs)? {
-        let message = format!("{}: the output is one of the inputs", output.display());
-        return Err(Error::Usage(message).into());
-    }
+    refuse_input(&output, &args.inputs)?;
     let request = IngestRequest {
         inputs: args.inputs.clone(),
         output,

@@ -67,7 +67,9 @@ type Outcome = anyhow::Result<ExitCode>;
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let signal = Arc::new(AtomicUsize::new(0));
-    if let Err(e) = listen(&signal) {
+    // A question leaves nothing behind: it may end at the first signal.
+    let at_once = matches!(cli.command, Command::Query(_) | Command::Info(_) | Command::Verify(_));
+    if let Err(e) = listen(&signal, at_once) {
         report(&format!("cannot listen for signals: {e}"));
         return ExitCode::from(70);
     }
@@ -91,17 +93,17 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Query(args) => query::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
-        Command::Export(args) => export::run(&args),
+        Command::Export(args) => export::run(&args, context),
         Command::Scene(args) => scene::run(&args, context),
         Command::Demo(args) => demo::run(&args, context),
     }
 }
 
 /// Stops at the first SIGINT or SIGTERM with everything tidy, at the second at once.
-fn listen(signal: &Arc<AtomicUsize>) -> io::Result<()> {
+fn listen(signal: &Arc<AtomicUsize>, at_once: bool) -> io::Result<()> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     use signal_hook::flag;
-    let asked = Arc::new(AtomicBool::new(false));
+    let asked = Arc::new(AtomicBool::new(at_once));
     for (name, code) in [(SIGINT, 130), (SIGTERM, 143)] {
         flag::register_conditional_shutdown(name, code, asked.clone())?;
         flag::register(name, asked.clone())?;
@@ -146,7 +148,29 @@ fn fail(e: &anyhow::Error, signal: usize) -> ExitCode {
 
 fn report(message: &str) {
     // Where stderr is closed the exit code has to do.
-    let _ = writeln!(io::stderr().lock(), "pvmap: error: {message}");
+    let _ = writeln!(io::stderr().lock(), "pvmap: error: {}", one_line(message));
+}
+
+/// Escapes what would break a line: names of files may hold anything.
+pub(crate) fn one_line(message: &str) -> String {
+    let mut line = String::with_capacity(message.len());
+    for c in message.chars() {
+        if c.is_control() {
+            line.extend(c.escape_default());
+        } else {
+            line.push(c);
+        }
+    }
+    line
+}
+
+/// Refuses an output that is one of the files it is made from (F33).
+fn refuse_input(output: &Path, inputs: &[PathBuf]) -> Result<(), Error> {
+    if pvmap::is_input(output, inputs)? {
+        let message = format!("{}: the output is one of the inputs", output.display());
+        return Err(Error::Usage(message));
+    }
+    Ok(())
 }
 
 /// Writes one JSON value and a newline to stdout.
@@ -156,12 +180,11 @@ fn print_json(value: &serde_json::Value) -> io::Result<()> {
 
 /// Maps an artifact; an octree may be named by its folder.
 fn map_file(path: &Path) -> Result<(PathBuf, pvmap::Mapped), Error> {
-    let path = match path.is_dir() {
-        true => path.join(pvmap::vmap::octree::FILE_NAME),
-        false => path.to_path_buf(),
-    };
-    let mapped = pvmap::Mapped::open(&path)?;
-    Ok((path, mapped))
+    if path.is_dir() {
+        let points = path.join(pvmap::vmap::octree::FILE_NAME);
+        return Ok((points, pvmap::open_octree(path)?));
+    }
+    Ok((path.to_path_buf(), pvmap::Mapped::open(path)?))
 }
 
 /// Reads `x,y,z`.

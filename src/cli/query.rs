@@ -242,16 +242,39 @@ struct Columns {
 
 impl Columns {
     fn find(header: &csv::StringRecord) -> Result<Columns, String> {
-        let column = |name: String| header.iter().position(|h| h == name).ok_or(name);
-        let three = |prefix: &str, side: u8| -> Result<[usize; 3], String> {
+        let column = |name: String| -> Result<Option<usize>, String> {
+            let mut found = header.iter().enumerate().filter(|(_, h)| **h == name);
+            match (found.next(), found.next()) {
+                (_, Some(_)) => Err(format!("column {name} stands twice in the header row")),
+                (first, None) => Ok(first.map(|(i, _)| i)),
+            }
+        };
+        let three = |prefix: &str, side: u8| -> Result<[Option<usize>; 3], String> {
             let named = |axis: &str| column(format!("{prefix}{axis}{side}"));
             Ok([named("x")?, named("y")?, named("z")?])
         };
-        let missing = |name| format!("no column {name}; the header row is x1,y1,z1,x2,y2,z2");
-        Ok(Columns {
-            places: [three("", 1).map_err(missing)?, three("", 2).map_err(missing)?],
-            normals: [three("n", 1).ok(), three("n", 2).ok()],
-        })
+        let whole = |prefix: &str, side: u8, found: [Option<usize>; 3]| match found {
+            [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
+            [x, y, _] => {
+                let axis = if x.is_none() {
+                    "x"
+                } else if y.is_none() {
+                    "y"
+                } else {
+                    "z"
+                };
+                Err(format!(
+                    "no column {prefix}{axis}{side}; the header row is x1,y1,z1,x2,y2,z2, and \
+                     nx1,ny1,nz1,nx2,ny2,nz2 to choose sides"
+                ))
+            }
+        };
+        let place = |side| whole("", side, three("", side)?);
+        let normal = |side| match three("n", side)? {
+            [None, None, None] => Ok(None),
+            found => whole("n", side, found).map(Some),
+        };
+        Ok(Columns { places: [place(1)?, place(2)?], normals: [normal(1)?, normal(2)?] })
     }
 
     fn places(&self, row: &csv::StringRecord) -> Result<(Place, Place), String> {

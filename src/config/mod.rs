@@ -173,8 +173,12 @@ impl RawConfig {
 }
 
 fn parse(name: &str, text: &str) -> Result<RawConfig, Error> {
-    // The message of the parser shows line, column and the keys that are known.
-    toml::from_str(text).map_err(|e| Error::Config(format!("{name}: {}", e.to_string().trim_end())))
+    toml::from_str(text).map_err(|e: toml::de::Error| {
+        let before = &text[..e.span().map_or(0, |s| s.start.min(text.len()))];
+        let line = before.matches('\n').count() + 1;
+        let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+        Error::Config(format!("{name}: line {line}, column {column}: {}", e.message().trim_end()))
+    })
 }
 
 /// Reads an interaction list: CSV with the header `node_a,node_b`.

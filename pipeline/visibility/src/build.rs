@@ -86,6 +86,8 @@ pub fn build(
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
+    // First of all, so that an output that cannot be made costs no work.
+    let file = SectionFile::create(&options.output, head_bytes(SECTIONS.len()))?;
     let starts = match &options.interaction {
         Some(given) => checked_pairs(tree, given)?,
         None => sibling_pairs(tree),
@@ -100,7 +102,7 @@ pub fn build(
     let plan = Plan::new(&scene, &starts);
     let counts = decide(&scene, &starts, &plan, &links, watch)?;
     let interaction = options.interaction.as_ref().map(|_| starts.as_slice());
-    write(input, options, interaction, links, watch).map(|report| BuildReport {
+    write(file, input, options, interaction, links, watch).map(|report| BuildReport {
         n_tasks: plan.tasks.len() as u64,
         counts,
         ..report
@@ -192,6 +194,7 @@ fn fixed_bytes(tree: &Tree) -> u64 {
 
 /// Writes the map from the tree and the spilled links.
 fn write(
+    mut file: SectionFile,
     input: &MapInput<'_>,
     options: &BuildOptions,
     interaction: Option<&[Pair]>,
@@ -199,7 +202,6 @@ fn write(
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
-    let mut file = SectionFile::create(&options.output, head_bytes(SECTIONS.len()))?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
     let config = file.whole(config_of(options, interaction).as_bytes())?;

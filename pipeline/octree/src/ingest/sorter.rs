@@ -320,7 +320,12 @@ impl Sorting<'_> {
         // The first pass holds up to its share until it is drained; the second starts on disk.
         let hold_bytes = self.shares.hold_bytes.saturating_sub(total.min(self.shares.hold_bytes));
         let next = Pass::new(self.folder, &mut sample, total, hold_bytes, &self.shares);
-        (0..n).into_par_iter().try_for_each(|bucket| self.redistribute(pass, bucket, &next))?;
+        (0..n).into_par_iter().try_for_each(|bucket| {
+            let n_records = pass.spill.bucket_bytes(bucket) / stride as u64;
+            self.redistribute(pass, bucket, &next)?;
+            self.watch.advance(n_records);
+            Ok::<_, OctreeError>(())
+        })?;
         Ok(next)
     }
 
@@ -332,7 +337,6 @@ impl Sorting<'_> {
             for record in bytes.chunks_exact(stride) {
                 buffers.put(self.key_of(record), record)?;
             }
-            self.watch.advance((bytes.len() / stride) as u64);
             Ok::<_, OctreeError>(())
         })?;
         Ok(buffers.finish()?)
