@@ -67,9 +67,9 @@ impl Error {
             },
             Error::Store(e) | Error::Octree(OctreeError::Store(e)) => of_store(e),
             Error::Visibility(VisibilityError::Store(e)) => of_store(e),
-            Error::Artifact { source, .. } | Error::Octree(OctreeError::Format(source)) => {
-                of_format(source)
-            }
+            Error::Artifact { source, .. }
+            | Error::Octree(OctreeError::Format(source))
+            | Error::Query(QueryError::Format(source)) => of_format(source),
             Error::Octree(OctreeError::TooManyNodes) | Error::Config(_) => 78,
             Error::Octree(OctreeError::Columns { .. }) => 70,
             Error::Visibility(VisibilityError::Compress(_)) => 70,

@@ -188,7 +188,7 @@ fn noise_cloud(n: usize) -> Cloud {
 fn d8_memory_changes_no_byte_of_a_map() {
     let folder = tempfile::tempdir().unwrap();
     let scan = folder.path().join("noise.las");
-    noise_cloud(6000).write_las(&scan, SCALE_M, [0.0; 3]);
+    noise_cloud(6600).write_las(&scan, SCALE_M, [0.0; 3]);
     let octree = ingest_with(&[scan], folder.path(), &LIMITS, |_| {});
     let config = BuildConfig {
         tree: Shape::Paper,

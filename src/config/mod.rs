@@ -101,6 +101,9 @@ impl RawConfig {
             let text = std::fs::read_to_string(name)
                 .map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
             let mut raw = parse(&name.display().to_string(), &text)?;
+            raw.memory_bytes()
+                .and(raw.deepest_level())
+                .map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
             let list = raw.interaction.as_mut().and_then(|i| i.list.as_mut());
             if let (Some(list), Some(folder)) = (list, name.parent()) {
                 *list = folder.join(&*list);
@@ -134,22 +137,29 @@ impl RawConfig {
         }
     }
 
+    fn deepest_level(&self) -> Result<u8, String> {
+        let max_level = self.max_level.unwrap_or(BuildConfig::default().max_level);
+        match max_level {
+            1..=21 => Ok(max_level),
+            _ => Err(format!("max_level = {max_level}: it must be 1 to 21")),
+        }
+    }
+
+    fn memory_bytes(&self) -> Result<u64, String> {
+        match &self.memory {
+            None => Ok(Limits::default().memory_bytes),
+            Some(text) => parse_memory(text).map_err(|e| format!("memory = {text:?}: {e}")),
+        }
+    }
+
     /// Checks every value and reads the interaction list.
     ///
     /// # Errors
     /// Where a value is out of range or the list cannot be read.
     pub fn check(self) -> Result<(BuildConfig, Limits), Error> {
         let defaults = BuildConfig::default();
-        let max_level = self.max_level.unwrap_or(defaults.max_level);
-        if !(1..=21).contains(&max_level) {
-            return Err(Error::Config(format!("max_level = {max_level}: it must be 1 to 21")));
-        }
-        let memory_bytes = match &self.memory {
-            None => Limits::default().memory_bytes,
-            Some(text) => {
-                parse_memory(text).map_err(|e| Error::Config(format!("memory = {text:?}: {e}")))?
-            }
-        };
+        let max_level = self.deepest_level().map_err(Error::Config)?;
+        let memory_bytes = self.memory_bytes().map_err(Error::Config)?;
         let config = BuildConfig {
             max_level,
             leaf_capacity: self.leaf_capacity.unwrap_or(defaults.leaf_capacity),

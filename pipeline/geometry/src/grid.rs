@@ -69,11 +69,12 @@ impl Frame {
         let Frame::Lattice { scale, min, extent, .. } = self else {
             unreachable!("lattice coordinates in a world frame")
         };
-        // Written out: the compiler does not inline a closure over an array here.
+        // Written out: the compiler does not inline a closure over an array here. Saturating: a
+        // damaged file can name any minimum.
         [
-            step((x[0] - min[0]) as f64 * scale[0], *extent),
-            step((x[1] - min[1]) as f64 * scale[1], *extent),
-            step((x[2] - min[2]) as f64 * scale[2], *extent),
+            step(x[0].saturating_sub(min[0]) as f64 * scale[0], *extent),
+            step(x[1].saturating_sub(min[1]) as f64 * scale[1], *extent),
+            step(x[2].saturating_sub(min[2]) as f64 * scale[2], *extent),
         ]
     }
 

@@ -412,9 +412,8 @@ fn read_table(table: &[u8], file_bytes: u64) -> Result<Vec<Section>, FormatError
                 "{name} at {offset_bytes}, {len_bytes} bytes: out of place"
             )));
         }
-        if n_records.checked_mul(record_bytes.into())
-            != Some(if record_bytes == 0 { 0 } else { len_bytes })
-        {
+        let fixed = n_records.checked_mul(record_bytes.into()) == Some(len_bytes);
+        if !(fixed || (record_bytes == 0 && n_records == 0)) {
             return Err(broken(format!(
                 "{name}: {n_records} records do not make {len_bytes} bytes"
             )));

@@ -1,5 +1,7 @@
 //! A map as its reader sees it: a view of the bytes of a whole file. Section 5 of FORMAT.md.
 
+use pvmap_geometry::morton;
+
 use crate::container::{Closing, Container, Kind, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
@@ -140,47 +142,57 @@ impl<'a> MapView<'a> {
     /// The first damage found.
     pub fn verify(&self) -> Result<(), FormatError> {
         self.file.verify()?;
+        self.crs()?;
         self.config()?;
         self.verify_tree()?;
         self.verify_links()
     }
 
     fn verify_tree(&self) -> Result<(), FormatError> {
-        let n = self.summary.n_nodes;
-        let mut surfel = 0;
-        // The open ancestors of the node at hand, with the points their children have so far.
-        let mut path: Vec<(u32, Node, u64)> = Vec::new();
-        for id in 0..n {
+        let mut n_surfels = 0;
+        // The nodes above the one at hand, the root first.
+        let mut path: Vec<Above> = Vec::new();
+        for id in 0..self.summary.n_nodes {
             let node = self.node(id)?;
-            let bad = |what: &str| Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
-            while let Some(&(parent, row, points)) = path.last().filter(|p| p.1.end <= id) {
-                if points != row.n_points || row.end != id {
-                    return bad(&format!("the children of node {parent} do not add up"));
-                }
-                path.pop();
+            self.close_ended(&mut path, id, n_surfels)?;
+            let bad = |what| Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
+            let fits = match path.last_mut() {
+                Some(above) => above.admits(id, &node),
+                None => id == 0 && is_root(&node, self.summary.n_nodes),
+            };
+            if !fits {
+                return bad("no child its parent can have here");
             }
-            let parent = path.last().map_or(NO_PARENT, |p| p.0);
-            if node.parent != parent
-                || node.end <= id
-                || path.last().is_some_and(|p| node.end > p.1.end)
-            {
-                return bad("the subtree leaves its parent's");
-            }
-            if node.first_surfel != surfel || (id == 0 && (node.end != n || parent != NO_PARENT)) {
-                return bad("the subtree's surfels are not its leaves");
-            }
-            if let Some(p) = path.last_mut() {
-                p.2 += node.n_points;
+            if node.first_surfel != n_surfels {
+                return bad("the surfels of the subtree are not those of its leaves");
             }
             if node.is_leaf() {
                 self.verify_leaf(id, &node)?;
-                surfel += 1;
+                n_surfels += 1;
             } else {
-                path.push((id, node, 0));
+                path.push(Above { id, node, n_points: 0, next_slot: 0 });
             }
         }
-        if surfel != self.summary.n_surfels {
-            return Err(self.surfels.broken(0, format!("{surfel} leaves in the tree")));
+        self.close_ended(&mut path, self.summary.n_nodes, n_surfels)?;
+        if n_surfels != self.summary.n_surfels {
+            return Err(self.surfels.broken(0, format!("{n_surfels} leaves in the tree")));
+        }
+        Ok(())
+    }
+
+    /// Checks and drops the nodes whose subtrees end before `id`.
+    fn close_ended(
+        &self,
+        path: &mut Vec<Above>,
+        id: u32,
+        n_surfels: u32,
+    ) -> Result<(), FormatError> {
+        while let Some(above) = path.pop_if(|above| above.node.end <= id) {
+            let Above { id: parent, node, n_points, .. } = above;
+            if (node.end, node.n_points, node.end_surfel) != (id, n_points, n_surfels) {
+                let at = u64::from(parent) * Node::BYTES as u64;
+                return Err(self.nodes.broken(at, "the children do not add up to the node"));
+            }
         }
         Ok(())
     }
@@ -228,6 +240,49 @@ impl<'a> MapView<'a> {
         }
         Ok(())
     }
+}
+
+/// A node that is open while its subtree is checked.
+struct Above {
+    id: u32,
+    node: Node,
+    /// Points of the children so far.
+    n_points: u64,
+    /// The least slot the next child can have.
+    next_slot: u8,
+}
+
+impl Above {
+    /// Takes a node as the next child, if it can be one.
+    fn admits(&mut self, id: u32, child: &Node) -> bool {
+        let node = &self.node;
+        let same_cell = (child.level, child.first_code) == (node.level, node.first_code);
+        let fits = match node.split {
+            Split::Leaf => false,
+            Split::Bins => same_cell && i16::from(child.bin) == i16::from(child.slot),
+            Split::Quadrants => same_cell && child.bin == node.bin && child.is_leaf(),
+            Split::Octants => {
+                let level = node.level + 1;
+                level <= morton::MAX_LEVEL
+                    && (child.level, child.bin) == (level, node.bin)
+                    && morton::cell_range(child.first_code, level).start == child.first_code
+                    && morton::cell_range(child.first_code, node.level).start == node.first_code
+                    && morton::octant(child.first_code, level) == child.slot
+            }
+        };
+        let in_order = self.next_slot <= child.slot && child.slot < node.split.n_slots();
+        let inside = child.parent == self.id && id < node.end && child.end <= node.end;
+        self.next_slot = child.slot.saturating_add(1);
+        let sum = self.n_points.checked_add(child.n_points);
+        self.n_points = sum.unwrap_or(u64::MAX);
+        fits && in_order && inside && sum.is_some()
+    }
+}
+
+/// Says whether a node can be the root of a tree of so many nodes.
+fn is_root(node: &Node, n_nodes: u32) -> bool {
+    let cell = (node.level, node.first_code, node.slot) == (0, 0, 0);
+    cell && node.bin == -1 && node.end == n_nodes && node.parent == NO_PARENT
 }
 
 impl Nodes for MapView<'_> {

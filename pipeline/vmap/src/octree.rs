@@ -214,7 +214,12 @@ impl Placement {
         let mut r = FieldReader::new(record);
         let [x, y, z] = r.three(FieldReader::i32);
         let shift = self.source(record)?.shift;
-        Some([i64::from(x) + shift[0], i64::from(y) + shift[1], i64::from(z) + shift[2]])
+        // Saturating: a damaged file can name any shift.
+        Some([
+            i64::from(x).saturating_add(shift[0]),
+            i64::from(y).saturating_add(shift[1]),
+            i64::from(z).saturating_add(shift[2]),
+        ])
     }
 
     /// Gives the world position of a record; `None` where it names no source.
@@ -434,6 +439,7 @@ impl<'a> OctreeView<'a> {
     /// The first damage found.
     pub fn verify(&self) -> Result<(), FormatError> {
         self.file.verify()?;
+        self.crs()?;
         let names = self.file.section("names", 0)?;
         for source in self.sources() {
             self.file.read(names, source.name.0, source.name.1.into())?;
