@@ -1,14 +1,14 @@
 //! The leaf kernel: one segment against a list of discs, by floats with a proven bound, and by
 //! integers where the bound does not settle it.
 //!
-//! Sixteen discs at a time go through a filter without branches ([`Chunk`], [`find_chunk`]), which
-//! lets the compiler use what the processor has; what passes is settled one by one ([`settle`]).
+//! Sixteen discs at a time go through a filter without branches (`Chunk`, `find_chunk`), which
+//! lets the compiler use what the processor has; what passes is settled one by one (`settle`).
 //!
 //! Planes are exact in f64: n·c and its sums stay below 2^40. The crossing x = c_a + t·d has one
 //! rounded division and, an axis, one product and two sums of numbers below 2^24, so each
 //! component of x - c_k is off by less than 2^-27 =: ε (three roundings of at most 2^-53·2^24, and
 //! t·d off by 2^-52·2^23). For |x - c_k| near R the square is then off by less than
-//! 2·√3·ε·R + 2^-50·R² < 2^-24·(R + 1) as R < 2^23; [`margin`] takes four times that.
+//! 2·√3·ε·R + 2^-50·R² < 2^-24·(R + 1) as R < 2^23; `margin` takes four times that.
 
 use multiversion::multiversion;
 use pvmap_geometry::disc::{self, Disc, Profile};

@@ -1,6 +1,6 @@
 //! Who sees whom: from a tree of surfels to the links of its visibility map.
 //!
-//! [`build`] is the stage as a whole: it plans chunk tasks ([`tasks`]), decides each by the
+//! [`build()`] is the stage as a whole: it plans chunk tasks ([`tasks`]), decides each by the
 //! recursion over node pairs ([`pairs`]: the paper's Algorithms 1 and 2 as corrected in [V-4] and
 //! [V-5]), spills the links as sorted runs and writes the map. What makes it fast are proofs about
 //! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders

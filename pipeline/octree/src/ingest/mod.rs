@@ -1,7 +1,7 @@
 //! Ingest: batches in, the sorted artifact out. Source: DESIGN.md [D-3]…[D-5].
 //!
 //! One decode, one temporary write, one temporary read, one final write. Records are packed as
-//! they arrive and go to buckets of Morton keys in the frame of the headers' bounds ([`sorter`]).
+//! they arrive and go to buckets of Morton keys in the frame of the headers' bounds (`sorter`).
 //! If the true bounds are those of the headers the buckets are final, else the packed records are
 //! distributed once more. Each bucket is sorted in memory and written at its place; normals that
 //! the scan does not bring are estimated over the sorted points; then the file is closed.
