@@ -412,8 +412,11 @@ fn read_table(table: &[u8], file_bytes: u64) -> Result<Vec<Section>, FormatError
                 "{name} at {offset_bytes}, {len_bytes} bytes: out of place"
             )));
         }
-        let fixed = n_records.checked_mul(record_bytes.into()) == Some(len_bytes);
-        if !(fixed || (record_bytes == 0 && n_records == 0)) {
+        let counted = match record_bytes {
+            0 => n_records == 0,
+            size => n_records.checked_mul(size.into()) == Some(len_bytes),
+        };
+        if !counted {
             return Err(broken(format!(
                 "{name}: {n_records} records do not make {len_bytes} bytes"
             )));
