@@ -40,6 +40,9 @@ pub fn open_octree(path: &Path) -> Result<Mapped, Error> {
 
 /// Cuts an octree as the configuration says and makes its visibility map.
 ///
+/// It runs on [`Limits::threads`] threads of its own; called on a worker of another rayon pool it
+/// nests jobs, see [Threads and memory](crate#threads-and-memory).
+///
 /// # Errors
 /// Where the octree is damaged, the interaction list breaks a rule, the budget is too small, the
 /// disk fails or the run is asked to stop; a map that was there before is then still there.

@@ -4,6 +4,28 @@
 //! map, [`query`] answers from the map. The rooms know nothing of each other beyond the artifacts;
 //! what joins them, the configuration and the command line live here.
 //!
+//! # Threads and memory
+//!
+//! [`ingest()`] and [`build()`] each start [`Limits::threads`] threads of their own (0: as many as
+//! the machine has), end them, and keep to [`Limits::memory_bytes`] alone: two at a time take
+//! twice of both. Call them from plain threads. A worker of another rayon pool that calls one
+//! does not sleep while it waits: it takes up the next job of its pool, so that a `par_iter` over
+//! scans begins one ingest within another, deeper and deeper, each with threads and memory of its
+//! own, and may run out of stack. To take in several scans at a time, share the machine out:
+//!
+//! ```no_run
+//! # use pvmap::{IngestRequest, Limits, Quiet};
+//! # let requests: Vec<IngestRequest> = Vec::new();
+//! let limits = Limits { threads: 2, memory_bytes: 512 << 20 };
+//! std::thread::scope(|scope| {
+//!     for request in &requests {
+//!         scope.spawn(|| pvmap::ingest(request, &limits, &Quiet));
+//!     }
+//! });
+//! ```
+//!
+//! # Example
+//!
 //! ```no_run
 //! use pvmap::{BuildConfig, IngestRequest, Limits, Quiet};
 //!
@@ -32,5 +54,6 @@ pub use pvmap_octree::ingest::{NormalsFrom, Orientation};
 pub use pvmap_query as query;
 pub use pvmap_scan as scan;
 pub use pvmap_scene as scene;
-pub use pvmap_store::{AtomicFile, Mapped, Quiet, StoreError, Watch, memory};
+pub use pvmap_store::output::TableFile;
+pub use pvmap_store::{Mapped, Quiet, StoreError, Watch, memory};
 pub use pvmap_vmap as vmap;

@@ -2,6 +2,7 @@
 //!
 //! Stages only add to a counter; one thread looks at it now and then, draws, and samples memory.
 
+use std::collections::VecDeque;
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -34,6 +35,11 @@ const TICK: Duration = Duration::from_millis(10);
 const LINE_EVERY: Duration = Duration::from_secs(2);
 /// Stages shorter than this are not worth a line of their own.
 const SHORT: Duration = Duration::from_millis(500);
+/// The pace is that of the last ten seconds: what went fast at first says little of the rest.
+const PACE_EVERY: Duration = Duration::from_millis(500);
+const PACE_SAMPLES: usize = 20;
+/// What stands right of a bar; the same width for all, or the bars would twitch.
+const BESIDE_BAR: usize = 48;
 
 /// A stage that has ended.
 #[derive(Debug, Clone)]
@@ -54,6 +60,8 @@ struct Stage {
     said: Instant,
     peak_bytes: u64,
     bar: Option<ProgressBar>,
+    /// When so much was done, the latest last.
+    pace: VecDeque<(Instant, u64)>,
 }
 
 struct Shared {
@@ -106,6 +114,13 @@ impl Progress {
         self.shared.end_stage();
         std::mem::take(&mut lock(&self.shared.finished))
     }
+
+    /// Forgets the stage at hand: it did not end, and the error says why.
+    pub(crate) fn give_up(&self) {
+        if let Some(bar) = lock(&self.shared.stage).take().and_then(|stage| stage.bar) {
+            bar.finish_and_clear();
+        }
+    }
 }
 
 impl Drop for Progress {
@@ -123,10 +138,11 @@ impl Watch for Progress {
     fn stage(&self, name: &'static str, total: Option<u64>, unit: &'static str) {
         self.shared.end_stage();
         let now = Instant::now();
-        let bar = (self.shared.mode == Mode::Bar).then(|| bar(name, total, unit));
+        let bar = (self.shared.mode == Mode::Bar).then(|| bar(name, total));
         let peak_bytes = memory::rss_anon_bytes().unwrap_or(0);
         self.shared.done.store(0, Ordering::Relaxed);
-        let stage = Stage { name, unit, total, started: now, said: now, peak_bytes, bar };
+        let pace = VecDeque::with_capacity(PACE_SAMPLES);
+        let stage = Stage { name, unit, total, started: now, said: now, peak_bytes, bar, pace };
         *lock(&self.shared.stage) = Some(stage);
     }
 
@@ -157,8 +173,10 @@ impl Shared {
         let Some(stage) = stage.as_mut() else { return };
         stage.peak_bytes = stage.peak_bytes.max(memory::rss_anon_bytes().unwrap_or(0));
         let done = self.done.load(Ordering::Relaxed);
+        stage.pace(done);
         if let Some(bar) = &stage.bar {
             bar.set_position(done);
+            bar.set_message(format!("{:<BESIDE_BAR$}", stage.said_of(done, false)));
         } else if stage.said.elapsed() >= LINE_EVERY {
             stage.said = Instant::now();
             self.print(stage, done, false);
@@ -180,49 +198,81 @@ impl Shared {
     }
 
     fn print(&self, stage: &Stage, done: u64, ended: bool) {
-        let seconds = stage.started.elapsed().as_secs_f64();
-        let rate = done as f64 / seconds.max(1e-9);
-        let left = stage.total.filter(|_| done > 0).map(|t| t.saturating_sub(done));
-        let eta = left.map(|n| n as f64 / rate);
         match self.mode {
             Mode::Json => say(&serde_json::json!({
                 "stage": stage.name, "done": done, "total": stage.total, "unit": stage.unit,
-                "seconds": seconds, "rate": rate, "eta_seconds": if ended { None } else { eta },
+                "seconds": stage.seconds(), "rate": stage.rate(done, ended),
+                "eta_seconds": if ended { None } else { stage.eta_seconds(done) },
                 "rss_anon_bytes": stage.peak_bytes, "ended": ended,
             })
             .to_string()),
-            Mode::Plain => {
-                let share = stage.total.filter(|&t| t > 0).map(|t| 100.0 * done as f64 / t as f64);
-                let share = share.map_or(String::new(), |p| format!(" ({p:.0} %)"));
-                let eta =
-                    eta.filter(|_| !ended).map_or(String::new(), |s| format!(", {s:.0} s left"));
-                say(&format!(
-                    "pvmap: {}: {} {}{share} in {seconds:.1} s, {}/s{eta}",
-                    stage.name,
-                    si(done as f64),
-                    stage.unit,
-                    si(rate)
-                ));
-            }
+            Mode::Plain => say(&format!("pvmap: {}: {}", stage.name, stage.said_of(done, ended))),
             Mode::Auto | Mode::Bar | Mode::Off => {}
         }
     }
 }
 
-fn bar(name: &'static str, total: Option<u64>, unit: &'static str) -> ProgressBar {
-    let bar = match total {
-        Some(total) => ProgressBar::new(total),
-        None => ProgressBar::no_length(),
-    };
-    let template = match total {
-        Some(_) => {
-            "{prefix:>11} {wide_bar} {percent:>3} %  {human_pos} {msg}, {per_sec}, {eta} left"
+impl Stage {
+    /// Notes how much is done by now.
+    fn pace(&mut self, done: u64) {
+        if self.pace.back().is_none_or(|(at, _)| at.elapsed() >= PACE_EVERY) {
+            if self.pace.len() == PACE_SAMPLES {
+                self.pace.pop_front();
+            }
+            self.pace.push_back((Instant::now(), done));
         }
-        None => "{prefix:>11} {spinner} {human_pos} {msg}, {per_sec}",
+    }
+
+    fn seconds(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
+    /// Gives units a second: of late, or over the whole stage.
+    fn rate(&self, done: u64, of_all: bool) -> f64 {
+        match self.pace.front() {
+            Some(&(at, before)) if !of_all && at.elapsed() >= PACE_EVERY => {
+                done.saturating_sub(before) as f64 / at.elapsed().as_secs_f64()
+            }
+            _ => done as f64 / self.seconds().max(1e-9),
+        }
+    }
+
+    /// Guesses how long the rest takes; none where the total is not known or nothing moves.
+    fn eta_seconds(&self, done: u64) -> Option<f64> {
+        let rate = self.rate(done, false);
+        let left = self.total?.saturating_sub(done) as f64;
+        (rate > 0.0).then_some(left / rate)
+    }
+
+    /// Says how far it is: 280 M of 401 M pairs, 33.8 M/s, 4 s left.
+    fn said_of(&self, done: u64, ended: bool) -> String {
+        let unit = self.unit;
+        let rate = si(self.rate(done, ended));
+        let counted = match self.total.filter(|_| !ended) {
+            Some(total) => format!("{} of {} {unit}", si(done as f64), si(total as f64)),
+            None => format!("{} {unit}", si(done as f64)),
+        };
+        let time = match self.eta_seconds(done) {
+            Some(left) if !ended => format!("{} left", duration(left)),
+            _ => duration(self.seconds()),
+        };
+        match done {
+            // It counts at its end, or has just begun.
+            0 if self.total.is_none() => time,
+            0 => format!("{counted}, {time}"),
+            _ => format!("{counted}, {rate}/s, {time}"),
+        }
+    }
+}
+
+fn bar(name: &'static str, total: Option<u64>) -> ProgressBar {
+    let (bar, template) = match total {
+        Some(total) => (ProgressBar::new(total), "{prefix:>11} {wide_bar} {percent:>3} %  {msg}"),
+        None => (ProgressBar::no_length(), "{prefix:>11} {spinner} {msg}"),
     };
     let style =
         ProgressStyle::with_template(template).expect("the templates above are well-formed");
-    bar.with_style(style).with_prefix(name).with_message(unit)
+    bar.with_style(style).with_prefix(name)
 }
 
 /// Writes a line to stderr; where that is closed nobody can be told.
@@ -236,11 +286,78 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Writes a number in three digits and a magnitude: 11.6 M.
 pub(crate) fn si(v: f64) -> String {
-    match v {
-        v if v >= 1e12 => format!("{:.2} T", v / 1e12),
-        v if v >= 1e9 => format!("{:.2} G", v / 1e9),
-        v if v >= 1e6 => format!("{:.2} M", v / 1e6),
-        v if v >= 1e4 => format!("{:.1} k", v / 1e3),
-        v => format!("{v:.0}"),
+    // As it will be rounded, 999.6 k is 1.00 M.
+    let magnitudes = [(1e12, " T"), (1e9, " G"), (1e6, " M"), (1e4, " k")];
+    let of = |least: f64| v >= least * 0.9995;
+    match magnitudes.into_iter().find(|m| of(m.0)) {
+        None => format!("{v:.0}"),
+        Some((least, sign)) => {
+            let v = v / if sign == " k" { 1e3 } else { least };
+            let n_decimals = if v < 9.995 { 2 } else { usize::from(v < 99.95) };
+            format!("{v:.n_decimals$}{sign}")
+        }
+    }
+}
+
+/// Writes a time as exactly as matters: 4 s, 2 min 05 s, 20 min, 3 h 20 min.
+pub(crate) fn duration(seconds: f64) -> String {
+    let s = seconds.round().min(1e9) as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..600 => format!("{} min {:02} s", s / 60, s % 60),
+        600..3600 => format!("{} min", s / 60),
+        _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_three_digits_and_a_magnitude() {
+        for (v, text) in [
+            (0.0, "0"),
+            (9_990.0, "9990"),
+            (12_345.0, "12.3 k"),
+            (999_600.0, "1.00 M"),
+            (11_630_000.0, "11.6 M"),
+            (400_770_516.0, "401 M"),
+            (2.5e9, "2.50 G"),
+            (1.2344e15, "1234 T"),
+        ] {
+            assert_eq!(si(v), text);
+        }
+    }
+
+    #[test]
+    fn times_are_as_exact_as_matters() {
+        for (seconds, text) in [
+            (0.4, "0 s"),
+            (59.6, "1 min 00 s"),
+            (125.0, "2 min 05 s"),
+            (1250.0, "20 min"),
+            (12_030.0, "3 h 20 min"),
+        ] {
+            assert_eq!(duration(seconds), text);
+        }
+    }
+
+    #[test]
+    fn the_pace_is_that_of_late() {
+        let ago = |ms| Instant::now() - Duration::from_millis(ms);
+        let stage = Stage {
+            name: "sort",
+            unit: "points",
+            total: Some(1_000_000),
+            started: ago(20_000),
+            said: ago(0),
+            peak_bytes: 0,
+            bar: None,
+            // Half of it was done at once, the rest goes at some 10 000 a second.
+            pace: [(ago(10_000), 500_000), (ago(1_000), 590_000)].into(),
+        };
+        assert_eq!(stage.said_of(600_000, false), "600 k of 1.00 M points, 10.0 k/s, 40 s left");
+        assert_eq!(stage.said_of(1_000_000, true), "1.00 M points, 50.0 k/s, 20 s");
     }
 }

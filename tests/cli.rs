@@ -1,4 +1,4 @@
-//! How the command behaves: exit codes, messages, configuration, signals, answers.
+//! How the command behaves: exit codes, messages, configuration, outputs, signals.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
@@ -6,37 +6,10 @@ mod cli_common;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use cli_common::{Bench, LAS_BOUNDS, Run, XYZ, floor, patch, ply_header, room_ply, write_las};
+use cli_common::{
+    Bench, LAS_BOUNDS, Run, XYZ, floor, info, patch, ply_header, room, room_ply, write_las,
+};
 use serde_json::Value;
-
-/// A folder with `room.ply`, its octree and its map.
-fn room() -> Bench {
-    let bench = Bench::new();
-    bench.write("room.ply", room_ply(40));
-    bench.line("ingest room.ply").ok();
-    bench.line("build").ok();
-    bench
-}
-
-fn info(bench: &Bench, artifact: &str) -> Value {
-    let run = bench.line(&format!("info {artifact} --json")).ok();
-    serde_json::from_str(&run.stdout).unwrap()
-}
-
-#[test]
-fn help_has_examples() {
-    let bench = Bench::new();
-    for command in ["ingest", "build", "query", "info", "verify", "export", "scene", "demo"] {
-        let help = bench.line(&format!("{command} --help")).ok();
-        assert!(help.stdout.contains(&format!("  pvmap {command}")), "{}", help.stdout);
-        assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
-    }
-    let pair = bench.line("query a.vmap pair --help").ok();
-    assert!(pair.stdout.contains("  pvmap query grotto.vmap pair "), "{}", pair.stdout);
-    let pairs = bench.line("query a.vmap pairs --help").ok();
-    assert!(pairs.stdout.contains("x1 y1 z1 x2 y2 z2"), "{}", pairs.stdout);
-    bench.line("--version").ok();
-}
 
 #[test]
 fn exit_2_wrong_usage() {
@@ -187,6 +160,9 @@ fn exit_78_configuration() {
     bench.line("build --config depth80").fails(78, &["depth80", "depth8, paper, preview"]);
     bench.line("build --max-level 0").fails(78, &["max_level = 0"]);
     bench.line("build --memory 1MiB").fails(78, &["memory", "64MiB"]);
+    for line in ["build --threads 1025", "ingest room.ply --overwrite --threads 100000"] {
+        bench.line(line).fails(78, &["threads", "at most 1024"]);
+    }
 }
 
 #[test]
@@ -251,6 +227,89 @@ fn build_finds_the_only_octree() {
 }
 
 #[test]
+fn f32_an_output_is_a_file_of_its_own() {
+    use std::os::unix::fs::{FileTypeExt, symlink};
+    let bench = room();
+    let fifo = |name: &str| {
+        let made = std::process::Command::new("mkfifo").arg(bench.path(name)).status().unwrap();
+        assert!(made.success());
+    };
+    ["fifo", "fifo.las", "fifo.ply"].into_iter().for_each(fifo);
+    std::fs::create_dir(bench.path("folder")).unwrap();
+    std::fs::create_dir(bench.path("folder.laz")).unwrap();
+    let before = bench.names();
+    for (line, word) in [
+        ("build -o fifo", "a FIFO"),
+        ("build -o folder", "a folder"),
+        ("build -o folder/new/", "slash"),
+        ("build -o /dev/null", "a device"),
+        ("build -o /dev/full", "a device"),
+        ("build -o /dev/stdout", "/dev/stdout"),
+        ("ingest room.ply -o fifo", "a FIFO"),
+        ("ingest room.ply -o fifo --overwrite", "a FIFO"),
+        ("ingest room.ply -o /dev/null --overwrite", "a device"),
+        ("ingest room.ply -o room.vmap --overwrite", "a file"),
+        ("scene empty --points 10 -o fifo.las", "a FIFO"),
+        ("scene empty --points 10 -o fifo.ply", "a FIFO"),
+        ("scene empty --points 10 -o folder.laz", "a folder"),
+        ("export room.vmap --links folder", "a folder"),
+    ] {
+        bench.line(line).fails(73, &[word]);
+    }
+    bench.line("export room.vmap --links /dev/full").fails(74, &["/dev/full", "no space"]);
+    assert_eq!(bench.names(), before);
+    assert!(bench.path("fifo").metadata().unwrap().file_type().is_fifo());
+
+    // A link is followed, and stays.
+    let old = bench.read("room.vmap");
+    symlink("room.vmap", bench.path("link.vmap")).unwrap();
+    bench.line("build --max-level 3 -o link.vmap").ok();
+    assert!(bench.path("link.vmap").is_symlink() && bench.read("room.vmap") != old);
+    symlink("nowhere", bench.path("broken.vmap")).unwrap();
+    bench.line("build -o broken.vmap").fails(73, &["broken.vmap", "leads nowhere"]);
+}
+
+#[test]
+fn f32_a_table_may_go_to_standard_output() {
+    let bench = room();
+    bench.line("export room.vmap --nodes N.csv --links L.csv").ok();
+    for (table, file) in [("--nodes", "N.csv"), ("--links", "L.csv")] {
+        for place in ["-", "/dev/stdout"] {
+            let run = bench.line(&format!("export room.vmap {table} {place}")).ok();
+            assert!(run.stdout.as_bytes() == bench.read(file), "{table} {place}");
+            assert_eq!(run.stderr, "");
+        }
+    }
+    // A redirected file is written to where it is, not begun anew.
+    bench.write("all.csv", "kept\n");
+    let mut command = bench.command(["export", "room.vmap", "--nodes", "/dev/stdout"]);
+    let all = std::fs::File::options().append(true).open(bench.path("all.csv")).unwrap();
+    assert!(command.stdout(all).status().unwrap().success());
+    assert_eq!(bench.read("all.csv"), [&b"kept\n"[..], &bench.read("N.csv")].concat());
+    bench.line("export room.vmap --nodes - --links -").fails(2, &["two tables"]);
+    assert_eq!(
+        bench.names(),
+        ["L.csv", "N.csv", "all.csv", "room.octree", "room.ply", "room.vmap"]
+    );
+}
+
+#[test]
+fn a_demo_replaces_nothing() {
+    let bench = Bench::new();
+    bench.write("room.ply", "mine");
+    let small = "demo --points 2000 --pairs 10 --progress off";
+    bench.line(&format!("{small} --keep room")).fails(73, &["room.ply", "another name"]);
+    assert_eq!(bench.read("room.ply"), b"mine");
+    let run = bench.line(&format!("{small} --keep other")).ok();
+    for word in
+        ["leaves N", "leaf pairs", "links", "fewer than N²", "agree with truth", "visibility"]
+    {
+        assert!(run.stdout.contains(word), "no {word} in: {}", run.stdout);
+    }
+    assert_eq!(bench.names(), ["other.octree", "other.ply", "other.vmap", "room.ply"]);
+}
+
+#[test]
 fn f33_an_output_that_is_an_input() {
     let bench = room();
     std::fs::hard_link(bench.path("room.ply"), bench.path("linked.ply")).unwrap();
@@ -275,17 +334,6 @@ fn f33_an_output_that_is_an_input() {
         }
         run.fails(2, &[]);
     }
-}
-
-#[test]
-fn coordinates_may_begin_with_a_minus() {
-    let bench = room();
-    bench.line("ingest room.ply --normals estimate --sensor -0.5,-0.5,-0.5 --overwrite").ok();
-    assert_eq!(info(&bench, "room.octree")["normals"]["oriented"], 3200);
-    bench.line("ingest room.ply --normals estimate --sensor=-1,0,0 --overwrite").ok();
-    bench.line("query room.vmap pair -0.5,-0.5,-1 -.25,-1,1").exits(0);
-    bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,-1").exits(1);
-    bench.line("query room.vmap pair -0.5,-0.5,-1 0,0,1 --normal2 -0,0,-1").exits(0);
 }
 
 #[test]
@@ -364,7 +412,7 @@ fn exit_130_and_143_a_stopped_build_keeps_the_old_map() {
     bench.line("ingest a.ply").ok();
     bench.line("build --max-level 1").ok();
     let old = bench.read("a.vmap");
-    for (signal, code, after_ms) in [("INT", 130, 100), ("TERM", 143, 700), ("INT", 130, 2000)] {
+    for (signal, code, after_ms) in [("INT", 130, 100), ("TERM", 143, 700), ("HUP", 129, 2000)] {
         let run = stop(&bench, "build --progress off", signal, after_ms);
         let run = run.fails(code, &["interrupted"]);
         assert!(run.elapsed < Duration::from_secs(2), "{:?} after {after_ms} ms", run.elapsed);
@@ -382,6 +430,22 @@ fn exit_130_and_143_a_stopped_scene_leaves_nothing() {
         assert!(run.elapsed < Duration::from_secs(2), "{:?}", run.elapsed);
         assert_eq!(bench.names(), [""; 0]);
     }
+}
+
+#[test]
+fn f09_a_terminal_that_closes_stops_nothing_under_nohup() {
+    let bench = Bench::new();
+    let mut command = std::process::Command::new("sh");
+    command.current_dir(bench.path("")).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let scene = format!(
+        "trap '' HUP; exec {} scene empty --points 2M -o a.las --progress off",
+        env!("CARGO_BIN_EXE_pvmap")
+    );
+    let child = command.args(["-c", &scene]).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    interrupt(&child, "HUP");
+    Run::watch(child, Instant::now()).ok();
+    assert_eq!(bench.names(), ["a.las"]);
 }
 
 #[test]
@@ -420,6 +484,7 @@ fn a_reader_that_has_seen_enough_is_no_error() {
         "query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1",
         "query room.vmap pairs rows.csv",
         "query room.vmap pairs rows.csv --json",
+        "export room.vmap --links -",
         "build",
     ] {
         let mut command = bench.command(line.split_whitespace());
@@ -429,131 +494,4 @@ fn a_reader_that_has_seen_enough_is_no_error() {
         let run = Run::watch(child, Instant::now());
         assert_eq!((run.code, run.stderr.as_str()), (0, ""), "{line}");
     }
-}
-
-#[test]
-fn a_pair() {
-    let bench = room();
-    let yes = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1").exits(0);
-    assert!(yes.stdout.starts_with("yes\n") && yes.stdout.contains("nodes"), "{}", yes.stdout);
-    let no = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,-1").exits(1);
-    assert!(no.stdout.starts_with("no\n") && no.stderr.is_empty(), "{no:?}");
-    for (places, visible) in [("-0.5,-0.5,-1 0.5,0.5,1", true), ("-0.5,-0.5,-1 0.5,0.5,-1", false)]
-    {
-        let line = format!("query room.vmap pair {places} --json");
-        let run = bench.line(&line).exits(i32::from(!visible));
-        let answer: Value = serde_json::from_str(&run.stdout).unwrap();
-        assert_eq!(answer["visible"], visible);
-        assert!(answer["surfel1"].is_u64() && answer["surfel2"].is_u64(), "{answer}");
-        assert_eq!(answer["link"].is_null(), !visible, "{answer}");
-    }
-    bench.line("query room.vmap pair 0,0,-1 0,0,7").fails(65, &["0,0,7", "outside"]);
-    bench.line("query room.vmap pair 0,0,-1 0,0,0").fails(65, &["no surface at 0,0,0"]);
-    bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,-0.5 --snap 0.6").exits(1);
-}
-
-/// Rows of a pairs table as columns by name, and its text.
-fn table(text: &str) -> Vec<Vec<(String, String)>> {
-    let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let names = reader.headers().unwrap().clone();
-    let named = |row: csv::StringRecord| {
-        names.iter().zip(&row).map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
-    };
-    reader.records().map(|row| named(row.unwrap())).collect()
-}
-
-fn column(text: &str, name: &str) -> Vec<String> {
-    let value = |row: Vec<(String, String)>| row.into_iter().find(|(n, _)| n == name).unwrap().1;
-    table(text).into_iter().map(value).collect()
-}
-
-#[test]
-fn a_table_of_pairs() {
-    let bench = room();
-    bench.write(
-        "rows.csv",
-        "z2,y2,x2,id,x1,y1,z1\n1,.5,.5,a,-.5,-.5,-1\n-1,.5,.5,b,-.5,-.5,-1\n1,0,0,c,0,0,-1\n",
-    );
-    let run = bench.line("query room.vmap pairs rows.csv").ok();
-    assert!(run.stdout.starts_with("visible,surfel1,surfel2"), "{}", run.stdout);
-    assert_eq!(column(&run.stdout, "visible"), ["1", "0", "1"]);
-    let (one, two) = (column(&run.stdout, "surfel1"), column(&run.stdout, "surfel2"));
-    assert_eq!(one[0], one[1]);
-    assert!(one.iter().chain(&two).all(|s| s.parse::<u32>().is_ok()), "{}", run.stdout);
-
-    let mut command = bench.command("query room.vmap pairs -".split(' '));
-    command.stdin(std::fs::File::open(bench.path("rows.csv")).unwrap());
-    assert_eq!(Run::of(command).ok().stdout, run.stdout);
-
-    let json = bench.line("query room.vmap pairs rows.csv --json").ok();
-    let lines: Vec<Value> = json.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
-    let visible: Vec<bool> = lines.iter().map(|l| l["visible"].as_bool().unwrap()).collect();
-    assert_eq!(visible, [true, false, true]);
-}
-
-#[test]
-fn rows_without_an_answer_say_why_and_the_others_are_answered() {
-    let bench = room();
-    let rows = [
-        "0,0,-1,0,0,1",
-        "0,0,-1,0,0,9",
-        "0,0,-1,0,0,0",
-        "0,0,-1,nan,0,1",
-        "0,0,-1,\"one, \"\"two\"\"\",0,1",
-        "0,0,-1",
-        "0,0,-1,0,0,1",
-    ];
-    bench.write("rows.csv", format!("x1,y1,z1,x2,y2,z2\n{}\n", rows.join("\n")));
-    let run = bench.line("query room.vmap pairs rows.csv").ok();
-    assert_eq!(column(&run.stdout, "visible"), ["1", "", "", "", "", "", "1"]);
-    let errors = column(&run.stdout, "error");
-    assert!(errors[0].is_empty() && errors[6].is_empty(), "{errors:?}");
-    for (error, word) in errors[1..].iter().zip(["outside", "no surface", "", "two", ""]) {
-        assert!(!error.is_empty() && error.contains(word), "{errors:?}");
-    }
-    let json = bench.line("query room.vmap pairs rows.csv --json").ok();
-    let lines: Vec<Value> = json.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
-    assert_eq!(lines.len(), rows.len());
-    assert_eq!(lines.iter().filter(|l| l["error"].is_string()).count(), 5);
-}
-
-#[test]
-fn normals_choose_the_side_of_a_thin_wall() {
-    let bench = Bench::new();
-    // Two sheets back to back at z = 0, below them a floor, above them a ceiling.
-    let mut text = ply_header(4 * 400, &["x", "y", "z", "nx", "ny", "nz"]);
-    for (z, nz) in [(-10, 1), (0, -1), (0, 1), (10, -1)] {
-        text.extend((0..400).map(|i| format!("{} {} {z} 0 0 {nz}\n", i % 20, i / 20)));
-    }
-    bench.write("wall.ply", text);
-    bench.line("ingest wall.ply").ok();
-    bench.line("build").ok();
-    let header = "x1,y1,z1,nx1,ny1,nz1,x2,y2,z2,nx2,ny2,nz2";
-    let rows = "10,10,0,0,0,1,10,10,10,0,0,-1\n10,10,0,0,0,-1,10,10,10,0,0,-1\n";
-    bench.write("rows.csv", format!("{header}\n{rows}10,10,-10,,,,10,10,10,,,\n"));
-    let run = bench.line("query wall.vmap pairs rows.csv").ok();
-    assert_eq!(column(&run.stdout, "visible"), ["1", "0", "0"]);
-    bench.line("query wall.vmap pair 10,10,0 10,10,10 --normal1 0,0,1").exits(0);
-    bench.line("query wall.vmap pair 10,10,0 10,10,10 --normal1 0,0,-1").exits(1);
-    bench.line("query wall.vmap pair 10,10,0 10,10,10 --normal1 0,0,0").fails(65, &["normal"]);
-}
-
-#[test]
-fn tables_that_cannot_be_read() {
-    let bench = room();
-    for (rows, words) in [
-        ("", "x1"),
-        ("x1,y1,z1,x2,y2\n0,0,0,0,0\n", "no column z2"),
-        ("a letter to a friend\n", "no column"),
-        ("x1,y1,z1,x2,y2,z2,nx1\n", "ny1"),
-    ] {
-        bench.write("rows.csv", rows);
-        bench.line("query room.vmap pairs rows.csv").fails(65, &["rows.csv", words]);
-    }
-    bench.write("rows.csv", b"x1,y1,z1,x2,y2,z2\n0,0,\xff,0,0,0\n");
-    bench.line("query room.vmap pairs rows.csv").fails(65, &["rows.csv", "2"]);
-    // No rows, no answers.
-    bench.write("rows.csv", "x1,y1,z1,x2,y2,z2\n");
-    assert_eq!(bench.line("query room.vmap pairs rows.csv").ok().stdout.lines().count(), 1);
-    bench.line("query room.vmap pairs none.csv").fails(66, &["none.csv"]);
 }

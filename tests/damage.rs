@@ -67,6 +67,25 @@ fn f42_every_flip_of_an_octree_is_found() {
 }
 
 #[test]
+fn f42_random_flips_of_a_larger_map_are_found() {
+    let n = if is_slow_run() { 100_000 } else { 300 };
+    let folder = tempfile::tempdir().unwrap();
+    let config = BuildConfig { max_level: 7, leaf_capacity: 4, ..BuildConfig::default() };
+    let (_, map) = artifacts(folder.path(), 20_000, &config);
+    assert!(map.len() > 4 * BLOCK, "{} bytes", map.len());
+    (0..n).into_par_iter().for_each_init(
+        || map.clone(),
+        |flipped, seed| {
+            let bit = Rng::with_seed(seed).usize(..8 * map.len());
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            let found = verify_map(flipped).expect_err("a flip that verify does not see");
+            assert_eq!(exit_code(found), 65, "bit {bit}");
+            flipped[bit / 8] ^= 1 << (bit % 8);
+        },
+    );
+}
+
+#[test]
 fn f42_a_flipped_octree_builds_the_same_map_or_none() {
     let n = if is_slow_run() { 5000 } else { 200 };
     on_threads(n, |seed| {

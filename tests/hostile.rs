@@ -340,6 +340,19 @@ fn f68_two_thousand_tiny_files() {
     });
 }
 
+#[test]
+fn f68_a_leaf_a_point() {
+    let side: u64 = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 1000 } else { 250 };
+    let memory = format!("{}MiB", side.pow(2) * 1024 / MIB + 64);
+    let bench = Bench::new();
+    write_las(&bench.path("a.las"), side * side, floor(side));
+    bench.line("ingest a.las --normals none").ok();
+    let line = format!("build --leaf-capacity 1 --max-level 12 --memory {memory} --threads 2");
+    let run = bench.line(&line).ok().within(memory.trim_end_matches("MiB").parse().unwrap());
+    assert!(run.elapsed < Duration::from_secs(60), "{:?}", run.elapsed);
+    bench.with_map("a.vmap", |view| assert_eq!(u64::from(view.summary().n_surfels), side * side));
+}
+
 /// Runs a command with no more than 64 files open at a time, where that can be arranged.
 fn with_few_handles(command: Command) -> Command {
     if Command::new("prlimit").arg("--version").output().is_err() {

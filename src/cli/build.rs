@@ -7,44 +7,74 @@ use std::process::ExitCode;
 use pvmap::config::{RawConfig, RawProfile, RawTree};
 use pvmap::{Built, Error};
 
-use super::{Context, Outcome, mib, refuse_input};
+use super::{Context, Outcome, check_threads, mib, refuse_input};
 use crate::progress::si;
 
 /// Cut an octree into surfels and make its visibility map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+Presets:
+  depth8    cells down to 1/256 of the scan's extent, some 50 points a surfel: the default
+  preview   cells down to 1/64, large surfels: a first look, many times faster
+  paper     as in the paper: a plain octree, slower and less exact at edges
+
+A configuration file has the same names as keys, all optional, and a table for a given
+interaction list; flags override it. In brackets above stands what depth8 says:
+  max_level = 8
+  leaf_capacity = 50
+  tree = \"binned\"
+  profile = \"patch\"
+  threads = 0
+  memory = \"1GiB\"
+  [interaction]
+  list = \"pairs.csv\"     columns node_a,node_b; instead of all siblings
+
 Examples:
   pvmap build                                   the only *.octree here, depth 8
-  pvmap build grotto.octree --config paper      as in the paper
-  pvmap build --config depth8 --max-level 9 -o fine.vmap
-
-Configurations are TOML files, or one of the presets depth8, paper and preview. Flags override
-the file.")]
+  pvmap build grotto.octree --config preview    a first look
+  pvmap build --config depth8 --max-level 9 -o fine.vmap")]
 pub(super) struct Args {
-    /// The octree; without it the only *.octree in the current directory.
+    /// The octree [default: the only *.octree in the current directory]
     octree: Option<PathBuf>,
-    /// A TOML file, or a preset.
-    #[arg(long, default_value = "depth8", value_name = "FILE|PRESET")]
+    /// A TOML file, or where there is none of that name a preset
+    /// [default: depth8]
+    #[arg(
+        long,
+        default_value = "depth8",
+        hide_default_value = true,
+        value_name = "FILE|PRESET",
+        verbatim_doc_comment
+    )]
     config: PathBuf,
-    /// The map to make; default: the octree's name with .vmap, in the current directory.
-    #[arg(short, long, value_name = "NAME.vmap")]
+    /// The map to make; one of that name is replaced when all is done
+    /// [default: the octree's name with .vmap, in the current directory]
+    #[arg(short, long, value_name = "NAME.vmap", verbatim_doc_comment)]
     output: Option<PathBuf>,
-    /// Deepest level of a cell, 1 to 21.
+    /// Deepest level, 1 to 21: cells of 1/2^L of the extent [depth8: 8]
     #[arg(long, value_name = "L")]
     max_level: Option<u8>,
-    /// Most points of a leaf above the deepest level; 0 makes a full tree.
-    #[arg(long, value_name = "N")]
+    /// Most points of a leaf above the deepest level; 0 cuts all the way
+    /// [depth8: 50]
+    #[arg(long, value_name = "N", verbatim_doc_comment)]
     leaf_capacity: Option<u64>,
-    /// Which tree.
-    #[arg(long, value_enum)]
+    /// binned (an octree for each of six directions of normals) or paper
+    /// (one plain octree) [depth8: binned]
+    #[arg(
+        long,
+        value_enum,
+        value_name = "SHAPE",
+        verbatim_doc_comment,
+        hide_possible_values = true
+    )]
     tree: Option<RawTree>,
-    /// How surfels block.
-    #[arg(long, value_enum)]
+    /// How a surfel blocks: patch (as far as its points reach) or paper
+    /// (wherever its cell is met) [depth8: patch]
+    #[arg(long, value_enum, value_name = "HOW", verbatim_doc_comment, hide_possible_values = true)]
     profile: Option<RawProfile>,
-    /// Threads; 0 takes all.
+    /// Threads; 0 takes as many as the machine has [depth8: 0]
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Most memory to hold.
+    /// Most memory to hold, at least 64MiB [depth8: 1GiB]
     #[arg(long, value_name = "SIZE")]
     memory: Option<String>,
 }
@@ -60,6 +90,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         interaction: None,
     };
     let (config, limits) = flags.over(RawConfig::find(&args.config)?).check()?;
+    check_threads(&limits)?;
     let octree = match &args.octree {
         Some(octree) => octree.clone(),
         None => only_octree(Path::new("."))?,
@@ -119,8 +150,8 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     let c = &built.report.counts;
     writeln!(
         out,
-        "  work      {} node pairs, {} candidates, {} segments ({} by memory), {} discs loaded, \
-         {} met, {} settled exactly",
+        "  work      {} node pairs, {} candidates, {} segments ({} by memory),\n            \
+         {} discs loaded, {} met, {} settled exactly",
         si(c.n_node_pairs as f64),
         si(c.n_candidates as f64),
         si(c.n_segments as f64),
@@ -134,7 +165,7 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     let rate = pairs as f64 / seconds.max(1e-9);
     writeln!(
         out,
-        "  time      {seconds:.2} s, {}pairs/s, at most {} of memory",
+        "  time      {seconds:.2} s, {} pairs/s, at most {} of memory",
         si(rate),
         mib(peak)
     )

@@ -4,36 +4,41 @@ use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
+use pvmap::config::RawConfig;
 use pvmap::query::{Map, Place, Snap};
 use pvmap::scene::{Sample, Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::{FormatError, MapView};
-use pvmap::{BuildConfig, Built, Error, IngestRequest, Limits, Mapped, config::RawConfig};
+use pvmap::{BuildConfig, Built, Error, IngestRequest, Limits, Mapped, StoreError};
 
 use super::build::{fewer_links, square};
 use super::{Context, Outcome, mib, parse_count};
 use crate::progress::StageDone;
 
-/// Make a furnished room, ingest it, build its map, verify it, ask it, and print what that took.
+/// Go the whole way with a generated room, and print what it took
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+It writes a furnished room as a scan, ingests it, builds its map (depth8), verifies that, and
+compares answers with the exact geometry. All files are temporary unless --keep is given.
+
 Examples:
   pvmap demo
-  pvmap demo --points 2M --keep room     keeps room.ply, room.octree and room.vmap")]
+  pvmap demo --points 100k              a quicker look
+  pvmap demo --keep room                the same, and a room to play with")]
 pub(super) struct Args {
-    /// Points of the room.
+    /// Points of the room
     #[arg(long, default_value = "400k", value_parser = parse_count, value_name = "N")]
     points: u64,
-    /// What the points are drawn from.
+    /// What the points are drawn from
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
-    /// Random pairs whose answers are compared with the exact truth.
+    /// Random pairs of points whose answers are compared
     #[arg(long, default_value = "100k", value_parser = parse_count, value_name = "N")]
     pairs: u64,
-    /// Build as the paper does too, and compare.
+    /// Build as the paper does too, and compare; takes some minutes
     #[arg(long)]
     paper: bool,
-    /// Keep the files under this name.
+    /// Keep NAME.ply, NAME.octree and NAME.vmap here; none may exist
     #[arg(long, value_name = "NAME")]
     keep: Option<String>,
 }
@@ -49,10 +54,17 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let scene = Scene::new(SceneKind::Furnished, args.seed);
     let limits = Limits::default();
     let watch = &context.progress;
+    for ending in ["ply", "octree", "vmap", "paper.vmap"] {
+        if args.keep.is_some() && file(ending).exists() {
+            let reason = "it exists already; keep the demo under another name".to_owned();
+            return Err(
+                Error::Store(StoreError::CannotCreate { path: file(ending), reason }).into()
+            );
+        }
+    }
     let request = SceneRequest { n_points: args.points, shuffle: false };
     scenes::write(&scene, &request, &file("ply"), &limits, watch)?;
-    let mut ingest = IngestRequest::new([file("ply")], file("octree"));
-    ingest.overwrite = args.keep.is_some();
+    let ingest = IngestRequest::new([file("ply")], file("octree"));
     pvmap::ingest(&ingest, &limits, watch)?;
     let mut stages = context.progress.take_stages();
     let mut columns = Vec::new();
@@ -95,8 +107,9 @@ fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result
     use pvmap::Watch;
     let bytes = Mapped::open(path)?;
     let named = |e: FormatError| Error::artifact(path, e);
-    context.progress.stage("verify", Some(bytes.len() as u64), "bytes");
+    context.progress.stage("verify", None, "bytes");
     MapView::open(&bytes).and_then(|v| v.verify()).map_err(named)?;
+    context.progress.advance(bytes.len() as u64);
     context.progress.stage("query", Some(args.pairs), "pairs");
     let map = Map::open(&bytes)?;
     let points = scene.points(args.points);
@@ -116,11 +129,11 @@ fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result
         let visible = map.pair(&at_a, &at_b)?.visible;
         seconds += started.elapsed().as_secs_f64();
         let truth = scene.sees(&a, &b);
+        context.progress.advance(1);
         found.n_visible += u64::from(truth);
         found.n_false_visible += u64::from(visible && !truth);
         found.n_false_invisible += u64::from(truth && !visible);
     }
-    context.progress.advance(args.pairs);
     found.rate = args.pairs as f64 / seconds.max(1e-9);
     Ok(found)
 }

@@ -6,25 +6,37 @@ use std::process::ExitCode;
 
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, MapView};
-use pvmap::{AtomicFile, Error, StoreError, Watch};
+use pvmap::{Error, StoreError, TableFile, Watch};
 
 use super::{Context, Outcome, map_file, refuse_input};
 
-/// Write surfels, nodes and links of a map as CSV, in grid steps and ids.
+/// Write surfels, nodes and links of a map as CSV tables
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-Example:
-  pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv")]
+All numbers are integers. Places and lengths are in grid steps (pvmap info shows how long one is
+and where they begin), normals have length 16384; ids count from 0, in the order of the rows.
+A table goes to a file that appears whole, to a FIFO, or to standard output for - .
+
+Columns:
+  surfels   surfel, centroid cx cy cz, normal nx ny nz, squared radius r2, its cell's least corner
+            cell_x cell_y cell_z and cell_level, its patch box min_x ... max_z, n_points, two_sided
+  nodes     node, parent (-1 at the root), level, bin (-1 to 6), surfel (-1 unless a leaf)
+  links     node_a, node_b: all surfels below the one see all below the other
+
+Examples:
+  pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
+  pvmap export grotto.vmap --links - | head")]
 pub(super) struct Args {
-    /// The map.
+    /// The map, as pvmap build makes it
+    #[arg(value_name = "NAME.vmap")]
     map: PathBuf,
-    /// A row a surfel: centroid, normal, squared radius, cell, patch box.
+    /// Where the table of surfels goes [default: nowhere]
     #[arg(long, value_name = "S.csv")]
     surfels: Option<PathBuf>,
-    /// A row a node: parent, level, bin, surfel.
+    /// Where the table of nodes goes [default: nowhere]
     #[arg(long, value_name = "N.csv")]
     nodes: Option<PathBuf>,
-    /// A row a link: its two nodes.
+    /// Where the table of links goes [default: nowhere]
     #[arg(long, value_name = "L.csv")]
     links: Option<PathBuf>,
 }
@@ -37,8 +49,14 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         let message = "nothing to write: give --surfels, --nodes or --links".to_owned();
         return Err(Error::Usage(message).into());
     }
-    for output in [&args.surfels, &args.nodes, &args.links].into_iter().flatten() {
+    let outputs: Vec<&PathBuf> =
+        [&args.surfels, &args.nodes, &args.links].into_iter().flatten().collect();
+    for (i, output) in outputs.iter().enumerate() {
         refuse_input(output, std::slice::from_ref(&args.map))?;
+        if outputs[..i].contains(output) {
+            let message = format!("{}: two tables cannot go to one place", output.display());
+            return Err(Error::Usage(message).into());
+        }
     }
     let (path, bytes) = map_file(&args.map)?;
     let watch = &context.progress;
@@ -56,16 +74,16 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     Ok(ExitCode::SUCCESS)
 }
 
-type Out = BufWriter<AtomicFile>;
+type Out = BufWriter<TableFile>;
 
-/// Writes a table that appears whole or not at all.
+/// Writes a table; a file appears whole or not at all.
 fn write(
     path: &Path,
     header: &str,
     rows: impl FnOnce(&mut Out) -> Result<(), Error>,
 ) -> Result<(), Error> {
     let fail = |e| Error::Store(StoreError::io(path, "write", e));
-    let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+    let mut out = BufWriter::with_capacity(1 << 20, TableFile::create(path)?);
     writeln!(out, "{header}").map_err(fail)?;
     rows(&mut out)?;
     let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
@@ -73,8 +91,11 @@ fn write(
 }
 
 fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
-    for id in 0..view.summary().n_surfels {
+    let n_surfels = view.summary().n_surfels;
+    watch.stage("surfels", Some(n_surfels.into()), "rows");
+    for id in 0..n_surfels {
         watch.check()?;
+        watch.advance(1);
         let s = view.surfel(id).map_err(|e| Error::artifact(path, e))?;
         let [cx, cy, cz] = s.centroid;
         let [nx, ny, nz] = s.normal;
@@ -94,8 +115,11 @@ fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) ->
 }
 
 fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
-    for id in 0..view.summary().n_nodes {
+    let n_nodes = view.summary().n_nodes;
+    watch.stage("nodes", Some(n_nodes.into()), "rows");
+    for id in 0..n_nodes {
         watch.check()?;
+        watch.advance(1);
         let node = view.node(id).map_err(|e| Error::artifact(path, e))?;
         let parent = if id == 0 { -1 } else { i64::from(node.parent) };
         let surfel = if node.is_leaf() { i64::from(node.first_surfel) } else { -1 };
@@ -106,9 +130,11 @@ fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> R
 }
 
 fn links(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
+    watch.stage("links", Some(view.summary().n_links), "rows");
     for block in 0..view.n_link_blocks() {
         watch.check()?;
         let lists = view.link_lists(block).map_err(|e| Error::artifact(path, e))?;
+        watch.advance(lists.len() as u64);
         for (a, b) in lists.iter() {
             writeln!(out, "{a},{b}").map_err(|e| StoreError::io(path, "write a table of", e))?;
         }

@@ -12,15 +12,22 @@ use pvmap::vmap::{FormatError, Kind, MapView, OctreeView};
 use serde_json::{Value, json};
 
 use super::build::fewer_links;
-use super::{Outcome, map_file, mib, print_json};
+use super::{Outcome, map_file, mib, one_line, print_json};
 
-/// Show what is in an octree or a map.
+/// Show what is in an octree or a map
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  pvmap info grotto.octree\n  pvmap info grotto.vmap --json")]
+#[command(after_help = "\
+Lengths and places are in the scan's units. Only the head of the file is read, however large it
+is; pvmap verify checks the rest.
+
+Examples:
+  pvmap info grotto.octree
+  pvmap info grotto.vmap --json")]
 pub(super) struct Args {
-    /// A .vmap file or an .octree folder.
+    /// A .vmap file or an .octree folder
+    #[arg(value_name = "NAME.vmap|NAME.octree")]
     file: PathBuf,
-    /// As one JSON object.
+    /// As one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -28,70 +35,100 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Outcome {
     let (path, bytes) = map_file(&args.file)?;
     let described = match kind_of(&bytes) {
-        Some(Kind::Octree) => OctreeView::open(&bytes).and_then(|v| octree(&v)),
-        _ => MapView::open(&bytes).and_then(|v| map(&v)),
+        Some(Kind::Octree) => OctreeView::open(&bytes).and_then(|v| octree(&v, bytes.len())),
+        _ => MapView::open(&bytes).and_then(|v| map(&v, bytes.len())),
     };
-    let mut value = described.map_err(|e| Error::artifact(&path, e))?;
-    value["bytes"] = json!(bytes.len());
+    let fields = described.map_err(|e| Error::artifact(&path, e))?;
     if args.json {
-        print_json(&value)?;
+        print_json(&object(&fields))?;
     } else {
-        print(&value, &mut io::stdout().lock())?;
+        print(&fields, 0, &mut io::stdout().lock())?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn octree(view: &OctreeView<'_>) -> Result<Value, FormatError> {
+/// What is known, in the order in which it is told.
+type Fields = Vec<(&'static str, Field)>;
+
+enum Field {
+    /// A value as JSON, and as text where that differs.
+    One(Value, Option<String>),
+    Group(Fields),
+    List(Vec<Fields>),
+}
+
+fn one(value: impl Into<Value>) -> Field {
+    Field::One(value.into(), None)
+}
+
+fn with_text(value: impl Into<Value>, text: String) -> Field {
+    Field::One(value.into(), Some(text))
+}
+
+fn octree(view: &OctreeView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
     let s = view.summary();
     let columns: Vec<&str> = view.schema().columns().iter().map(|c| c.name).collect();
     let mut sources = Vec::new();
     for source in view.sources() {
-        sources.push(json!({
-            "name": view.source_name(source)?,
-            "format": word(source.format, &["", "LAS", "LAZ", "PLY"]),
-            "points": source.n_stored,
-            "invalid": source.n_invalid,
-            "color_bits": source.color_depth,
-        }));
+        sources.push(vec![
+            ("name", one(view.source_name(source)?)),
+            ("format", one(word(source.format, &["", "LAS", "LAZ", "PLY"]))),
+            ("points", one(source.n_stored)),
+            ("invalid", one(source.n_invalid)),
+            ("color_bits", one(source.color_depth)),
+        ]);
     }
-    Ok(json!({
-        "kind": "octree",
-        "points": s.n_points,
-        "records_read": s.n_read,
-        "records_invalid": s.n_invalid,
-        "columns": columns,
-        "normals": {
-            "asked": word(s.normals, &["auto", "file", "estimate", "none"]),
-            "from_file": s.n_normals_file,
-            "estimated": s.n_normals_estimated,
-            "none": s.n_points - (s.n_normals_file + s.n_normals_estimated).min(s.n_points),
-            "oriented": s.n_oriented,
-            "estimated_oriented_by": word(s.orientation, &["nothing", "sensor", "up"]),
-        },
-        "sources": sources,
-        "frame": frame(view.frame(), view.crs()?),
-        "digest": format!("{:032x}", s.digest),
-        "format": version(view.file().version()),
-    }))
+    let n_none = s.n_points - (s.n_normals_file + s.n_normals_estimated).min(s.n_points);
+    let orientation = word(s.orientation, &["nothing", "sensor", "up"]);
+    let normals = vec![
+        ("asked", one(word(s.normals, &["auto", "file", "estimate", "none"]))),
+        ("from_file", one(s.n_normals_file)),
+        ("estimated", one(s.n_normals_estimated)),
+        ("none", one(n_none)),
+        ("oriented", one(s.n_oriented)),
+        ("estimated_oriented_by", one(orientation)),
+    ];
+    Ok(vec![
+        ("kind", one("octree")),
+        ("format", one(version(view.file().version()))),
+        ("bytes", size(n_bytes)),
+        ("points", one(s.n_points)),
+        ("records_read", one(s.n_read)),
+        ("records_invalid", one(s.n_invalid)),
+        ("sources", Field::List(sources)),
+        ("columns", with_text(columns.clone(), columns.join(" "))),
+        ("normals", Field::Group(normals)),
+        ("frame", frame(view.frame(), view.crs()?)),
+        ("digest", one(format!("{:032x}", s.digest))),
+    ])
 }
 
-fn map(view: &MapView<'_>) -> Result<Value, FormatError> {
+fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
     let s = view.summary();
     let n = u128::from(s.n_surfels);
-    Ok(json!({
-        "kind": "map",
-        "points": s.n_points,
-        "surfels": s.n_surfels,
-        "nodes": s.n_nodes,
-        "leaf_pairs": (n * n.saturating_sub(1) / 2) as f64,
-        "visible_pairs": s.n_visible_pairs as f64,
-        "links": s.n_links,
-        "fewer_links_percent": fewer_links(s.n_links, s.n_surfels),
-        "config": view.config()?.trim_end(),
-        "frame": frame(view.frame(), view.crs()?),
-        "digest": format!("{:032x}", s.digest),
-        "format": version(view.file().version()),
-    }))
+    let n_pairs = n * n.saturating_sub(1) / 2;
+    let fewer = fewer_links(s.n_links, s.n_surfels);
+    let config = view.config()?.trim_end();
+    Ok(vec![
+        ("kind", one("map")),
+        ("format", one(version(view.file().version()))),
+        ("bytes", size(n_bytes)),
+        ("points", one(s.n_points)),
+        ("surfels", one(s.n_surfels)),
+        ("nodes", one(s.n_nodes)),
+        // As a float: JSON readers seldom take an integer beyond 64 bits.
+        ("leaf_pairs", with_text(n_pairs as f64, n_pairs.to_string())),
+        ("visible_pairs", with_text(s.n_visible_pairs as f64, s.n_visible_pairs.to_string())),
+        ("links", one(s.n_links)),
+        ("fewer_links_percent", with_text(fewer, format!("{fewer:.2}"))),
+        ("config", with_text(config, config.replace('\n', ", "))),
+        ("frame", frame(view.frame(), view.crs()?)),
+        ("digest", one(format!("{:032x}", s.digest))),
+    ])
+}
+
+fn size(n_bytes: usize) -> Field {
+    with_text(n_bytes, format!("{n_bytes} ({})", mib(n_bytes as u64)))
 }
 
 /// Gives the word for a code whose range the reader has checked.
@@ -103,67 +140,66 @@ fn version((major, minor): (u16, u16)) -> String {
     format!("{major}.{minor}")
 }
 
-fn frame(record: &FrameRecord, (kind, crs): (CrsKind, &[u8])) -> Value {
-    let low = record.frame.world_of_real([0.0; 3]);
-    json!({
-        "coordinates": match record.frame {
-            Frame::Lattice { .. } => "lattice",
-            Frame::World { .. } => "real",
-        },
-        "origin": low,
-        "extent": record.frame.extent(),
-        "grid_step": record.frame.unit(),
-        "crs": match kind {
-            CrsKind::None => Value::Null,
-            CrsKind::Wkt => String::from_utf8_lossy(crs).trim_end_matches('\0').into(),
-            CrsKind::GeoTiff => format!("GeoTIFF keys, {} bytes", crs.len()).into(),
-        },
-    })
+/// Where the scan lies; all lengths are in the units of its coordinates.
+fn frame(record: &FrameRecord, (kind, crs): (CrsKind, &[u8])) -> Field {
+    let coordinates = match record.frame {
+        Frame::Lattice { .. } => "lattice",
+        Frame::World { .. } => "real",
+    };
+    let origin = record.frame.world_of_real([0.0; 3]);
+    let [x, y, z] = origin;
+    let (extent, step) = (record.frame.extent(), record.frame.unit());
+    let crs = match kind {
+        CrsKind::None => Field::One(Value::Null, Some("none".to_owned())),
+        CrsKind::Wkt => one(String::from_utf8_lossy(crs).trim_end_matches('\0')),
+        CrsKind::GeoTiff => one(format!("GeoTIFF keys, {} bytes", crs.len())),
+    };
+    Field::Group(vec![
+        ("coordinates", one(coordinates)),
+        ("origin", with_text(json!(origin), format!("{x},{y},{z}"))),
+        ("extent", with_text(extent, format!("{extent} scan units"))),
+        ("grid_step", with_text(step, format!("{step:.3e} scan units"))),
+        ("crs", crs),
+    ])
 }
 
-/// Prints an object as aligned lines, inner objects indented.
-fn print(value: &Value, out: &mut impl Write) -> io::Result<()> {
-    print_fields(value, 0, out)
+fn object(fields: &Fields) -> Value {
+    let value = |field: &Field| match field {
+        Field::One(value, _) => value.clone(),
+        Field::Group(fields) => object(fields),
+        Field::List(items) => items.iter().map(object).collect(),
+    };
+    fields.iter().map(|(key, field)| ((*key).to_owned(), value(field))).collect()
 }
 
-fn print_fields(value: &Value, depth: usize, out: &mut impl Write) -> io::Result<()> {
-    for (key, field) in value.as_object().into_iter().flatten() {
-        let indent = "  ".repeat(depth);
+/// Columns of keys, wide enough for the longest.
+const KEY_WIDTH: usize = 26;
+
+/// Prints aligned lines, inner ones indented.
+fn print(fields: &Fields, depth: usize, out: &mut impl Write) -> io::Result<()> {
+    let (indent, width) = (2 * depth, KEY_WIDTH - 2 * depth);
+    for (key, field) in fields {
         let key = key.replace('_', " ");
         match field {
-            Value::Object(_) => {
-                writeln!(out, "{indent}{key}")?;
-                print_fields(field, depth + 1, out)?;
+            Field::One(value, text) => {
+                let text = match (text, value) {
+                    (Some(text), _) => text.clone(),
+                    (None, Value::String(text)) => text.clone(),
+                    (None, value) => value.to_string(),
+                };
+                writeln!(out, "{:indent$}{key:width$}{}", "", one_line(&text))?;
             }
-            Value::Array(items) if items.iter().any(Value::is_object) => {
+            Field::Group(fields) => {
+                writeln!(out, "{:indent$}{key}", "")?;
+                print(fields, depth + 1, out)?;
+            }
+            Field::List(items) => {
                 for item in items {
-                    writeln!(out, "{indent}{key}")?;
-                    print_fields(item, depth + 1, out)?;
+                    writeln!(out, "{:indent$}{key}", "")?;
+                    print(item, depth + 1, out)?;
                 }
-            }
-            _ => {
-                let width = 22 - 2 * depth;
-                writeln!(out, "{indent}{key:width$}{}", text(&key, field))?;
             }
         }
     }
     Ok(())
-}
-
-fn text(key: &str, value: &Value) -> String {
-    match value {
-        Value::Null => "none".to_owned(),
-        Value::String(s) => s.replace('\n', ", "),
-        Value::Array(items) => {
-            let items: Vec<String> = items.iter().map(|v| text("", v)).collect();
-            items.join(" ")
-        }
-        Value::Number(n) if key == "bytes" => {
-            format!("{n} ({})", mib(n.as_u64().unwrap_or_default()))
-        }
-        Value::Number(n) if n.as_u64().is_none() && key.ends_with("pairs") => {
-            format!("{:.0}", n.as_f64().unwrap_or_default())
-        }
-        other => other.to_string(),
-    }
 }

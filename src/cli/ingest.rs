@@ -7,46 +7,69 @@ use std::process::ExitCode;
 use pvmap::scan::ReadOptions;
 use pvmap::{Error, IngestRequest, Ingested, Limits, NormalsFrom, Orientation, Watch, memory};
 
-use super::{Context, Outcome, mib, parse_point, refuse_input};
+use super::{Context, Outcome, check_threads, mib, parse_point, refuse_input};
 use crate::progress::si;
 
 /// Stream scan files into a sorted octree on disk.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+Every record is stored with its colour, intensity, class, GPS time and normal, or counted with a
+reason; a scan that is broken or cut short is refused. What does not fit in memory goes to a
+temporary file beside the output. Normals that are estimated count from both sides, unless
+--sensor or --up says which side was seen.
+
 Examples:
   pvmap ingest grotto.las                            makes grotto.octree here
   pvmap ingest a.las b.laz -o site.octree            several scans, one octree
   pvmap ingest room.laz --sensor 0,0,1.77            normals toward the scanner
   pvmap ingest tile.laz --up --memory 512MiB         an airborne tile, in half a gigabyte")]
 pub(super) struct Args {
-    /// LAS, LAZ or PLY files.
+    /// LAS 1.0 to 1.4, LAZ or PLY files
     #[arg(required = true, value_name = "SCAN")]
     inputs: Vec<PathBuf>,
-    /// The octree to make; several inputs need it.
-    #[arg(short, long, value_name = "NAME.octree")]
+    /// The octree to make [default: the scan's name with .octree, in the
+    /// current directory; several scans need a name]
+    #[arg(short, long, value_name = "NAME.octree", verbatim_doc_comment)]
     output: Option<PathBuf>,
-    /// Replace an octree of that name.
+    /// Replace an octree of that name, at once and only when all is done
     #[arg(long)]
     overwrite: bool,
-    /// Most memory to hold.
+    /// Most memory to hold, at least 64MiB
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
-    /// Threads; 0 takes all.
+    /// Threads; 0 takes as many as the machine has
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
-    /// Where normals come from.
-    #[arg(long, value_enum, default_value = "auto", value_name = "FROM")]
+    /// Where normals come from: auto (the file's where it has them, else
+    /// estimated), file, estimate (whatever the file has) or none
+    /// [default: auto]
+    #[arg(
+        long,
+        value_enum,
+        default_value = "auto",
+        hide_default_value = true,
+        value_name = "FROM",
+        verbatim_doc_comment,
+        hide_possible_values = true
+    )]
     normals: Normals,
-    /// Where the scanner stood, world units; may be given several times.
-    #[arg(long, value_parser = parse_point, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    /// Where the scanner stood, in the scan's units: estimated normals turn
+    /// to it; given several times, to the nearest
+    #[arg(
+        long,
+        value_parser = parse_point,
+        value_name = "X,Y,Z",
+        allow_hyphen_values = true,
+        verbatim_doc_comment
+    )]
     sensor: Vec<[f64; 3]>,
-    /// Estimated normals point up (airborne and terrain scans).
+    /// Estimated normals turn up (airborne and terrain scans)
     #[arg(long, conflicts_with = "sensor")]
     up: bool,
-    /// Drop and count points whose coordinates are not finite.
+    /// Drop and count points whose coordinates are not finite
     #[arg(long)]
     skip_invalid: bool,
-    /// Read what is there of a file that was cut short.
+    /// Read what is there of a file that was cut short
     #[arg(long)]
     lenient: bool,
 }
@@ -84,6 +107,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         },
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
+    check_threads(&limits)?;
     if let Some(free) = memory::free_disk_bytes(&request.output) {
         let size: u64 = args.inputs.iter().filter_map(|p| p.metadata().ok()).map(|m| m.len()).sum();
         if size > free / 4 {
@@ -139,7 +163,7 @@ fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io
     let rate = s.n_points as f64 / seconds.max(1e-9);
     writeln!(
         out,
-        "  time      {seconds:.2} s, {}points/s, at most {} of memory",
+        "  time      {seconds:.2} s, {} points/s, at most {} of memory",
         si(rate),
         mib(peak)
     )

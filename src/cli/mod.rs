@@ -6,6 +6,7 @@ mod export;
 mod info;
 mod ingest;
 mod query;
+mod rows;
 mod scene;
 mod verify;
 
@@ -16,32 +17,52 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use clap::{Parser, Subcommand};
-use pvmap::Error;
+use pvmap::{Error, Limits, StoreError};
 
 use crate::progress::{Mode, Progress};
 
-/// What sees what in a point scan.
-///
-/// Scan files (LAS, LAZ, PLY) become a sorted octree, the octree becomes a visibility map, and the
-/// map answers questions.
+/// What sees what in a point scan
 #[derive(Debug, Parser)]
 #[command(name = "pvmap", version, arg_required_else_help = true, after_help = EXAMPLES)]
 struct Cli {
-    /// How progress is shown, on stderr.
-    #[arg(long, global = true, value_enum, default_value = "auto", value_name = "MODE")]
+    /// Progress on stderr: auto (bars on a terminal, else lines), bar, plain
+    /// (a line every 2 s), json (an object a line) or off [default: auto]
+    #[arg(
+        long,
+        global = true,
+        value_enum,
+        default_value = "auto",
+        hide_default_value = true,
+        value_name = "MODE",
+        verbatim_doc_comment,
+        hide_possible_values = true,
+        display_order = LAST
+    )]
     progress: Mode,
 
     #[command(subcommand)]
     command: Command,
 }
 
+/// Options of all subcommands stand behind a subcommand's own.
+const LAST: usize = 900;
+
 const EXAMPLES: &str = "\
+Scan files (LAS, LAZ, PLY) become a sorted octree, the octree becomes a visibility map, and the
+map answers questions. Coordinates and distances are in the scan's own units; sizes are written
+64MiB, 1GiB or 500MB.
+
 Examples:
-  pvmap demo                                       the whole way on a generated room
+  pvmap demo                                       the whole way on a generated room, half a minute
   pvmap ingest grotto.las --sensor 0,0,1.8         scan file to grotto.octree
-  pvmap build --config depth8.toml                 the only *.octree here to its .vmap
-  pvmap query grotto.vmap pair 1,2,3 -4,5,6        do these two points see each other?
-  pvmap info grotto.vmap                           what is in it";
+  pvmap build                                      the only *.octree here to grotto.vmap
+  pvmap query grotto.vmap pair 1,2,3 -4,5,6        do these two places see each other?
+  pvmap info grotto.vmap                           what is in it
+
+Exit codes:
+  0 done, or yes          1 query pair: no           2 wrong usage          65 bad data
+  66 no such input        70 a bug                   73 cannot create       74 disk or I/O
+  77 no permission        78 configuration, version  129, 130, 143 stopped by a signal";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -77,6 +98,9 @@ pub(crate) fn main() -> ExitCode {
     let context = Context { progress: Progress::new(cli.progress, signal.clone()) };
     let result =
         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(cli.command, &context)));
+    if !matches!(result, Ok(Ok(_))) {
+        context.progress.give_up();
+    }
     drop(context);
     match result {
         Ok(Ok(code)) => code,
@@ -92,24 +116,33 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Build(args) => build::run(&args, context),
         Command::Query(args) => query::run(&args),
         Command::Info(args) => info::run(&args),
-        Command::Verify(args) => verify::run(&args),
+        Command::Verify(args) => verify::run(&args, context),
         Command::Export(args) => export::run(&args, context),
         Command::Scene(args) => scene::run(&args, context),
         Command::Demo(args) => demo::run(&args, context),
     }
 }
 
-/// Stops at the first SIGINT or SIGTERM with everything tidy, at the second at once.
+/// Stops at the first SIGINT, SIGTERM or SIGHUP with everything tidy, at the second at once. A
+/// terminal that closes (SIGHUP) stops nothing that was started with `nohup`.
 fn listen(signal: &Arc<AtomicUsize>, at_once: bool) -> io::Result<()> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     use signal_hook::flag;
     let asked = Arc::new(AtomicBool::new(at_once));
-    for (name, code) in [(SIGINT, 130), (SIGTERM, 143)] {
-        flag::register_conditional_shutdown(name, code, asked.clone())?;
+    for name in [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&s| !is_ignored(s)) {
+        flag::register_conditional_shutdown(name, 128 + name, asked.clone())?;
         flag::register(name, asked.clone())?;
         flag::register_usize(name, signal.clone(), name as usize)?;
     }
     Ok(())
+}
+
+/// Says whether a signal was being ignored when the command was started.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
 /// Says a panic in one line. Panics of third-party decoders are caught and become errors with a
@@ -125,22 +158,25 @@ fn hook_panics() {
 
 /// Prints an error and gives its exit code.
 fn fail(e: &anyhow::Error, signal: usize) -> ExitCode {
-    if let Some(e) = e.downcast_ref::<io::Error>() {
-        // Whoever read our output has seen enough.
-        if e.kind() == io::ErrorKind::BrokenPipe {
-            return ExitCode::SUCCESS;
-        }
+    let from_stdout = e.downcast_ref::<io::Error>();
+    let from_table = match e.downcast_ref::<Error>() {
+        Some(Error::Store(StoreError::Io { source, .. })) => Some(source),
+        _ => None,
+    };
+    // Whoever read our output has seen enough.
+    let is_enough = |e: &io::Error| e.kind() == io::ErrorKind::BrokenPipe;
+    if from_stdout.or(from_table).is_some_and(is_enough) {
+        return ExitCode::SUCCESS;
+    }
+    if let Some(e) = from_stdout {
         report(&format!("cannot write the answer: {e}"));
         return ExitCode::from(74);
     }
     let code = e.downcast_ref::<Error>().map_or(70, Error::exit_code);
     if code == 130 {
         report("interrupted; nothing was left behind");
-        return ExitCode::from(if signal == signal_hook::consts::SIGTERM as usize {
-            143
-        } else {
-            130
-        });
+        // The number of a signal that is listened to is at most 15.
+        return ExitCode::from(128 + signal as u8);
     }
     report(&e.to_string());
     ExitCode::from(code)
@@ -171,6 +207,17 @@ fn refuse_input(output: &Path, inputs: &[PathBuf]) -> Result<(), Error> {
         return Err(Error::Usage(message));
     }
     Ok(())
+}
+
+/// More threads than any machine has cores for; a hundred thousand would eat its memory.
+const MAX_THREADS: usize = 1024;
+
+/// Refuses a number of threads that can only be a slip.
+fn check_threads(limits: &Limits) -> Result<(), Error> {
+    match limits.threads {
+        0..=MAX_THREADS => Ok(()),
+        n => Err(Error::Config(format!("threads = {n}: it must be at most {MAX_THREADS}"))),
+    }
 }
 
 /// Writes one JSON value and a newline to stdout.

@@ -1,27 +1,31 @@
 //! `pvmap query`: ask a map.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Subcommand;
+use pvmap::Error;
 use pvmap::query::{Located, Map, PairAnswer, Place, QueryError, Snap};
-use pvmap::{Error, StoreError};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
+use super::rows::Rows;
 use super::{Outcome, map_file, parse_point, print_json};
 
-/// Ask a map.
+/// Ask a map
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+Coordinates are in the scan's units, as pvmap info shows its origin and extent; they may begin
+with a minus. pvmap query MAP pair --help tells all of a question.
+
 Examples:
   pvmap query grotto.vmap pair 1,2,3 -4,5,6       yes (exit 0) or no (exit 1)
   pvmap query grotto.vmap pairs rows.csv          a row an answer
   cat rows.csv | pvmap query grotto.vmap pairs - --json")]
 pub(super) struct Args {
-    /// The map.
+    /// The map, as pvmap build makes it
+    #[arg(value_name = "NAME.vmap")]
     map: PathBuf,
     #[command(subcommand)]
     question: Question,
@@ -33,51 +37,72 @@ enum Question {
     Pairs(PairsArgs),
 }
 
-/// Do two places see each other? Exit 0 for yes, 1 for no.
+/// Do two places see each other? Exit 0 for yes, 1 for no
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-Example:
-  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1")]
+A place is answered for by the surfel (the disc that stands for some points) nearest to it. Where
+two surfaces meet, at an edge or in a thin wall, a normal says which of them is meant; it need
+not have length 1.
+
+Answer:
+  yes or no
+  surfels   which surfels the places lie on
+  link      the two nodes that settle it, where the answer is yes
+  settles   how many points lie in each of them: all of these see each other
+
+Examples:
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json")]
 struct PairArgs {
-    /// One place, x,y,z in the scan's units.
+    /// One place, in the scan's units
     #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X1,Y1,Z1")]
     a: [f64; 3],
-    /// The other.
+    /// The other
     #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X2,Y2,Z2")]
     b: [f64; 3],
-    /// Which side of an edge or a thin wall the first place is on.
+    /// Normal of the surface that the first place is on
     #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
     normal1: Option<[f64; 3]>,
-    /// Which side the other is on.
+    /// Normal of the surface that the other is on
     #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
     normal2: Option<[f64; 3]>,
-    /// How far from a surface a place may be; default: four half spacings of its surfel.
-    #[arg(long, value_name = "DIST")]
+    /// How far from a surface a place may be, in the scan's units
+    /// [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
-    /// As one JSON object.
+    /// Answer as one JSON object
     #[arg(long)]
     json: bool,
 }
 
-/// Answer a row an input row, in order.
+/// Answer a table of pairs, a row an input row, in order
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-Input columns, by name in a header row, in any order:
-  x1 y1 z1 x2 y2 z2                      the two places
-  nx1 ny1 nz1 nx2 ny2 nz2                optional: their sides
+Input columns, by name in a header row, in any order, among others that are not read:
+  x1 y1 z1 x2 y2 z2             the two places, in the scan's units
+  nx1 ny1 nz1 nx2 ny2 nz2       optional: normals that say which surface is meant
 
 Output columns:
-  visible                                0 or 1, empty where there is no answer
-  surfel1 surfel2                        which surfels the places lie on
-  distance1 distance2                    how far from them
-  error                                  why there is no answer")]
+  visible                       0 or 1, empty where there is no answer
+  surfel1 surfel2               which surfels the places lie on
+  distance1 distance2           how far from them, in the scan's units
+  error                         why there is no answer
+
+It ends with 0 once every row is answered, and with 65 at a row that is no text or longer than
+64 KiB.
+
+Examples:
+  pvmap query grotto.vmap pairs rows.csv > answers.csv
+  printf 'x1,y1,z1,x2,y2,z2\\n1,2,3,-4,5,6\\n' | pvmap query grotto.vmap pairs -")]
 struct PairsArgs {
-    /// A CSV file, or - for standard input.
+    /// A CSV file with a header row, or - for standard input
+    #[arg(value_name = "ROWS.csv")]
     rows: PathBuf,
-    /// How far from a surface a place may be; default: four half spacings of its surfel.
-    #[arg(long, value_name = "DIST")]
+    /// How far from a surface a place may be, in the scan's units
+    /// [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
-    /// As a JSON object a line.
+    /// Answer as a JSON object a line
     #[arg(long)]
     json: bool,
 }
@@ -155,34 +180,21 @@ fn as_json(a: &Located, b: &Located, answer: &PairAnswer) -> Value {
     })
 }
 
-/// Rows answered at once.
+/// Rows answered at once, and their bytes where rows are long.
 const CHUNK_ROWS: usize = 8192;
+const CHUNK_BYTES: usize = 4 << 20;
 
 fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
-    let input: Box<dyn Read> = match args.rows.as_os_str() == "-" {
-        true => Box::new(io::stdin().lock()),
-        false => Box::new(
-            File::open(&args.rows)
-                .map_err(|e| Error::Store(StoreError::io(&args.rows, "open", e)))?,
-        ),
-    };
-    let unreadable = |e: csv::Error| Error::Data(format!("{}: {e}", args.rows.display()));
-    let mut reader =
-        csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(input);
-    let columns = Columns::find(reader.headers().map_err(unreadable)?)
+    let mut rows = Rows::open(&args.rows)?;
+    let columns = Columns::find(rows.header())
         .map_err(|what| Error::Data(format!("{}: {what}", args.rows.display())))?;
     let mut out = BufWriter::with_capacity(1 << 16, io::stdout().lock());
     if !args.json {
         writeln!(out, "visible,surfel1,surfel2,distance1,distance2,error")?;
     }
     let snap = snap_of(args.snap);
-    let mut records = reader.records();
     loop {
-        let chunk: Vec<csv::StringRecord> =
-            records.by_ref().take(CHUNK_ROWS).collect::<Result<_, _>>().map_err(unreadable)?;
-        if chunk.is_empty() {
-            break;
-        }
+        let (chunk, ended) = next_chunk(&mut rows);
         let answer = |row: &csv::StringRecord| {
             let (a, b) = columns.places(row)?;
             ask(map, &a, &b, snap).map_err(|e| match e {
@@ -194,9 +206,29 @@ fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
         for answer in answers {
             write_row(&mut out, answer, args.json)?;
         }
+        // The rows before one that cannot be read have their answers.
+        if let Some(ended) = ended {
+            out.flush()?;
+            return Ok(ended?);
+        }
     }
-    out.flush()?;
-    Ok(ExitCode::SUCCESS)
+}
+
+/// Reads some rows; at the end of the table also how it ended, well or with a row that cannot be
+/// read.
+fn next_chunk(rows: &mut Rows) -> (Vec<csv::StringRecord>, Option<Result<ExitCode, Error>>) {
+    let (mut chunk, mut n_bytes) = (Vec::new(), 0);
+    while chunk.len() < CHUNK_ROWS && n_bytes < CHUNK_BYTES {
+        match rows.next() {
+            Ok(Some(row)) => {
+                n_bytes += row.as_slice().len();
+                chunk.push(row);
+            }
+            Ok(None) => return (chunk, Some(Ok(ExitCode::SUCCESS))),
+            Err(e) => return (chunk, Some(Err(e))),
+        }
+    }
+    (chunk, None)
 }
 
 /// Why a row has no answer: because of the row, or because of the map.

@@ -285,3 +285,18 @@ pub fn ply_header(n_points: u32, names: &[&str]) -> String {
 
 /// The properties of a point without attributes.
 pub const XYZ: [&str; 3] = ["x", "y", "z"];
+
+/// A folder with `room.ply`, its octree and its map.
+pub fn room() -> Bench {
+    let bench = Bench::new();
+    bench.write("room.ply", room_ply(40));
+    bench.line("ingest room.ply").ok();
+    bench.line("build").ok();
+    bench
+}
+
+/// What `pvmap info --json` says of an artifact.
+pub fn info(bench: &Bench, artifact: &str) -> serde_json::Value {
+    let run = bench.line(&format!("info {artifact} --json")).ok();
+    serde_json::from_str(&run.stdout).unwrap()
+}

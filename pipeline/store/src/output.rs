@@ -1,8 +1,15 @@
 //! Outputs: written under a temporary name in the same folder, then renamed: absent, old or whole.
+//!
+//! One rule says what may stand under an output's name beforehand (F32): nothing, or a thing of
+//! the same kind, which is replaced. A link is followed: what it points at is replaced, the link
+//! stays. Anything else, such as a FIFO or a device, is refused before any work. Only a table,
+//! which is written from front to back, may also go to a stream ([`TableFile`]).
 
-use std::fs::{File, Permissions};
+use std::fs::{File, FileType, Permissions};
 use std::io::{self, Seek, SeekFrom, Write};
-use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::os::fd::AsFd;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{FileExt, FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use tempfile::{NamedTempFile, TempDir, TempPath};
@@ -16,32 +23,33 @@ pub struct AtomicFile {
     file: File,
     temp: TempPath,
     path: PathBuf,
+    /// `path`, or what it links to.
+    target: PathBuf,
 }
 
 impl AtomicFile {
     /// Starts an output beside its final name.
     ///
     /// # Errors
-    /// Where the folder does not exist or may not be written, or `path` is a folder.
+    /// Where the folder does not exist or may not be written, or something that is no regular file
+    /// has that name.
     pub fn create(path: &Path) -> Result<AtomicFile, StoreError> {
-        if path.is_dir() || path.file_name().is_none() {
-            let reason = "it is a folder".to_owned();
-            return Err(StoreError::CannotCreate { path: path.to_path_buf(), reason });
-        }
-        let named =
-            NamedTempFile::with_prefix_in(".pvmap-", folder_of(path)).map_err(|e| {
-                match e.kind() {
-                    io::ErrorKind::PermissionDenied | io::ErrorKind::StorageFull => {
-                        StoreError::io(path, "create", e)
-                    }
-                    _ => StoreError::CannotCreate {
-                        path: path.to_path_buf(),
-                        reason: e.kind().to_string(),
-                    },
-                }
-            })?;
+        let target = match standing(path)? {
+            (_, Some(kind)) if !kind.is_file() => {
+                return refuse(path, format!("{} has that name; give another", word_of(kind)));
+            }
+            (_, None) if path.as_os_str().as_bytes().ends_with(b"/") => {
+                return refuse(
+                    path,
+                    "a folder's name, it ends in a slash; give a file's".to_owned(),
+                );
+            }
+            (target, _) => target,
+        };
+        let named = NamedTempFile::with_prefix_in(".pvmap-", folder_of(&target))
+            .map_err(|e| cannot_create(path, e))?;
         let (file, temp) = named.into_parts();
-        Ok(AtomicFile { file, temp, path: path.to_path_buf() })
+        Ok(AtomicFile { file, temp, path: path.to_path_buf(), target })
     }
 
     /// Gives the final name.
@@ -74,6 +82,14 @@ impl AtomicFile {
             .map_err(|e| StoreError::io(&self.path, "read back", e))
     }
 
+    /// Makes what is written so far durable; several threads may write meanwhile.
+    ///
+    /// # Errors
+    /// Where the disk fails or is full.
+    pub fn sync_written(&self) -> Result<(), StoreError> {
+        self.file.sync_data().map_err(|e| StoreError::io(&self.path, "sync", e))
+    }
+
     /// Makes the file durable and gives it its final name, replacing what was there.
     ///
     /// # Errors
@@ -83,8 +99,10 @@ impl AtomicFile {
         // mkstemp makes files for the owner alone; an artifact is as readable as the umask says.
         set_default_mode(&self.file).map_err(fail)?;
         self.file.sync_all().map_err(fail)?;
-        self.temp.persist(&self.path).map_err(|e| StoreError::io(&self.path, "rename", e.error))?;
-        sync_folder(folder_of(&self.path))
+        self.temp
+            .persist(&self.target)
+            .map_err(|e| StoreError::io(&self.path, "rename", e.error))?;
+        sync_folder(folder_of(&self.target))
     }
 }
 
@@ -104,12 +122,87 @@ impl Seek for AtomicFile {
     }
 }
 
+/// A table: an output that is written from front to back and may therefore be a stream too.
+#[derive(Debug)]
+pub struct TableFile {
+    sink: Sink,
+    path: PathBuf,
+}
+
+#[derive(Debug)]
+enum Sink {
+    File(AtomicFile),
+    Stream(File),
+}
+
+impl TableFile {
+    /// Starts a table: on standard output for `-` or `/dev/stdout`, in a FIFO or a character
+    /// device that has that name, else in an [`AtomicFile`]. A FIFO waits for its reader.
+    ///
+    /// # Errors
+    /// Those of [`AtomicFile::create`], and where a stream cannot be opened.
+    pub fn create(path: &Path) -> Result<TableFile, StoreError> {
+        let fail = |e| StoreError::io(path, "open", e);
+        let sink = if is_stdout(path) {
+            // Not by opening /dev/stdout: that would begin a redirected file anew.
+            Sink::Stream(io::stdout().as_fd().try_clone_to_owned().map_err(fail)?.into())
+        } else {
+            match standing(path)? {
+                (target, Some(kind)) if kind.is_fifo() || kind.is_char_device() => {
+                    Sink::Stream(File::options().write(true).open(target).map_err(fail)?)
+                }
+                _ => Sink::File(AtomicFile::create(path)?),
+            }
+        };
+        Ok(TableFile { sink, path: path.to_path_buf() })
+    }
+
+    /// Gives the name it was asked for by.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Ends the table; a file gets its name now.
+    ///
+    /// # Errors
+    /// Those of [`AtomicFile::commit`].
+    pub fn commit(self) -> Result<(), StoreError> {
+        match self.sink {
+            Sink::File(file) => file.commit(),
+            Sink::Stream(_) => Ok(()),
+        }
+    }
+}
+
+impl Write for TableFile {
+    fn write(&mut self, buf: &[u8]) -> io::Result<usize> {
+        match &mut self.sink {
+            Sink::File(file) => file.write(buf),
+            Sink::Stream(stream) => stream.write(buf),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.sink {
+            Sink::File(file) => file.flush(),
+            Sink::Stream(stream) => stream.flush(),
+        }
+    }
+}
+
+/// Says whether an output's name means standard output.
+pub fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-") || path == Path::new("/dev/stdout")
+}
+
 /// A folder that appears under its name only when [`AtomicFolder::commit`] is called; dropped
 /// before, it leaves nothing behind.
 #[derive(Debug)]
 pub struct AtomicFolder {
     temp: TempDir,
     path: PathBuf,
+    /// `path`, or what it links to.
+    target: PathBuf,
     overwrite: bool,
 }
 
@@ -120,17 +213,18 @@ impl AtomicFolder {
     /// Where something is under that name already and `overwrite` is not set, what is there is not
     /// a folder, or the parent does not exist or may not be written.
     pub fn create(path: &Path, overwrite: bool) -> Result<AtomicFolder, StoreError> {
-        let refuse = |reason: &str| {
-            Err(StoreError::CannotCreate { path: path.to_path_buf(), reason: reason.to_owned() })
+        let target = match standing(path)? {
+            (_, Some(kind)) if !kind.is_dir() => {
+                return refuse(path, format!("{} has that name; give another", word_of(kind)));
+            }
+            (_, Some(_)) if !overwrite => {
+                return refuse(path, "it exists already; --overwrite replaces it".to_owned());
+            }
+            (target, _) => target,
         };
-        match std::fs::symlink_metadata(path) {
-            Ok(meta) if !meta.is_dir() => return refuse("something else has that name"),
-            Ok(_) if !overwrite => return refuse("it exists already; --overwrite replaces it"),
-            _ => {}
-        }
-        let temp = TempDir::with_prefix_in(".pvmap-", folder_of(path))
+        let temp = TempDir::with_prefix_in(".pvmap-", folder_of(&target))
             .map_err(|e| cannot_create(path, e))?;
-        Ok(AtomicFolder { temp, path: path.to_path_buf(), overwrite })
+        Ok(AtomicFolder { temp, path: path.to_path_buf(), target, overwrite })
     }
 
     /// Gives the folder to write into.
@@ -145,17 +239,17 @@ impl AtomicFolder {
     /// Where the disk fails, or the name was taken meanwhile; then what is there stays.
     pub fn commit(self) -> Result<(), StoreError> {
         use rustix::fs::{CWD, RenameFlags, renameat_with};
-        let (temp, path) = (self.temp.path(), self.path.as_path());
+        let (temp, path, target) = (self.temp.path(), self.path.as_path(), self.target.as_path());
         let fail = |e: rustix::io::Errno| StoreError::io(path, "rename", e.into());
         set_default_folder_mode(temp).map_err(|e| StoreError::io(path, "commit", e))?;
         sync_folder(temp)?;
-        let exists = path.exists();
+        let exists = target.exists();
         let flags = if exists { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
         if exists && !self.overwrite {
             return Err(fail(rustix::io::Errno::EXIST));
         }
-        renameat_with(CWD, temp, CWD, path, flags).map_err(fail)?;
-        sync_folder(folder_of(path))?;
+        renameat_with(CWD, temp, CWD, target, flags).map_err(fail)?;
+        sync_folder(folder_of(target))?;
         if exists {
             // Now the old folder has the temporary name and goes with it.
             return self.temp.close().map_err(|e| StoreError::io(path, "remove the old", e));
@@ -184,6 +278,38 @@ pub fn sync_folder(folder: &Path) -> Result<(), StoreError> {
         .map_err(|e| StoreError::io(folder, "sync the folder", e))
 }
 
+/// Finds what stands under an output's name, and where: links are followed.
+fn standing(path: &Path) -> Result<(PathBuf, Option<FileType>), StoreError> {
+    if path.file_name().is_none() {
+        return refuse(path, "that is no name for an output".to_owned());
+    }
+    let target = match std::fs::symlink_metadata(path) {
+        Ok(meta) if meta.is_symlink() => match std::fs::canonicalize(path) {
+            Ok(target) => target,
+            Err(e) => return refuse(path, format!("a link that leads nowhere ({})", e.kind())),
+        },
+        Ok(_) => path.to_path_buf(),
+        // Whether the folder it would be in is there shows when the output is begun.
+        Err(_) => return Ok((path.to_path_buf(), None)),
+    };
+    let meta = std::fs::metadata(&target).map_err(|e| StoreError::io(path, "look at", e))?;
+    Ok((target, Some(meta.file_type())))
+}
+
+fn word_of(kind: FileType) -> &'static str {
+    match kind {
+        _ if kind.is_file() => "a file",
+        _ if kind.is_dir() => "a folder",
+        _ if kind.is_fifo() => "a FIFO",
+        _ if kind.is_char_device() || kind.is_block_device() => "a device",
+        _ => "a socket",
+    }
+}
+
+fn refuse<T>(path: &Path, reason: String) -> Result<T, StoreError> {
+    Err(StoreError::CannotCreate { path: path.to_path_buf(), reason })
+}
+
 /// Says why an output could not be started.
 fn cannot_create(path: &Path, e: io::Error) -> StoreError {
     match e.kind() {
@@ -191,7 +317,10 @@ fn cannot_create(path: &Path, e: io::Error) -> StoreError {
             StoreError::io(path, "create", e)
         }
         kind => {
-            let reason = format!("its folder cannot be written: {kind}");
+            let reason = match kind {
+                io::ErrorKind::NotFound => "its folder does not exist; make it first".to_owned(),
+                kind => format!("its folder cannot be written: {kind}"),
+            };
             StoreError::CannotCreate { path: path.to_path_buf(), reason }
         }
     }
@@ -212,4 +341,102 @@ fn umask() -> u32 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("Umask:"));
     line.and_then(|l| u32::from_str_radix(l.trim(), 8).ok()).unwrap_or(0o022)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names and the bytes or "folder" behind them, without temporary ones left behind.
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<String> =
+            entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+
+    fn reason_of<T: std::fmt::Debug>(result: Result<T, StoreError>) -> String {
+        match result {
+            Err(StoreError::CannotCreate { reason, .. }) => reason,
+            other => panic!("not refused: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn f32_what_stands_under_the_name_of_an_output() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("file"), "old").unwrap();
+        std::fs::create_dir(at("folder")).unwrap();
+        rustix::fs::mknodat(
+            rustix::fs::CWD,
+            at("fifo"),
+            rustix::fs::FileType::Fifo,
+            0o600.into(),
+            0,
+        )
+        .unwrap();
+        std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
+        for (name, word) in
+            [("folder", "a folder"), ("fifo", "a FIFO"), ("socket", "a socket"), ("new/", "folder")]
+        {
+            assert!(reason_of(AtomicFile::create(&at(name))).contains(word), "{name}");
+        }
+        assert!(reason_of(AtomicFile::create(Path::new("/dev/null"))).contains("a device"));
+        for name in ["..", "/", ""] {
+            assert!(reason_of(AtomicFile::create(Path::new(name))).contains("no name"), "{name}");
+        }
+        for (name, word) in [("file", "a file"), ("fifo", "a FIFO"), ("folder", "--overwrite")] {
+            assert!(reason_of(AtomicFolder::create(&at(name), false)).contains(word), "{name}");
+        }
+        assert_eq!(names(folder.path()), ["fifo", "file", "folder", "socket"]);
+        assert_eq!(std::fs::read(at("file")).unwrap(), b"old");
+    }
+
+    #[test]
+    fn f32_a_link_is_followed_and_stays() {
+        let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let link = |name: &str, target: &str| {
+            let link = folder.path().join(name);
+            std::os::unix::fs::symlink(other.path().join(target), &link).unwrap();
+            link
+        };
+        let (file, tree, nowhere) = (link("a", "file"), link("b", "tree"), link("c", "none"));
+        std::fs::write(other.path().join("file"), "old").unwrap();
+        std::fs::create_dir(other.path().join("tree")).unwrap();
+        let mut output = AtomicFile::create(&file).unwrap();
+        output.write_all(b"new").unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"old");
+        output.commit().unwrap();
+        assert_eq!(std::fs::read(other.path().join("file")).unwrap(), b"new");
+
+        let output = AtomicFolder::create(&tree, true).unwrap();
+        std::fs::write(output.temp_path().join("points"), "").unwrap();
+        output.commit().unwrap();
+        assert_eq!(names(&tree), ["points"]);
+        assert!([&file, &tree].iter().all(|l| l.is_symlink()));
+        assert!(reason_of(AtomicFile::create(&nowhere)).contains("leads nowhere"));
+        assert_eq!((names(folder.path()).len(), names(other.path()).len()), (3, 2));
+    }
+
+    #[test]
+    fn f32_a_table_may_go_to_a_stream() {
+        let folder = tempfile::tempdir().unwrap();
+        let fifo = folder.path().join("fifo");
+        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, 0o600.into(), 0)
+            .unwrap();
+        let reader = std::thread::spawn({
+            let fifo = fifo.clone();
+            move || std::fs::read(fifo).unwrap()
+        });
+        let mut table = TableFile::create(&fifo).unwrap();
+        table.write_all(b"a,b\n").unwrap();
+        table.commit().unwrap();
+        assert_eq!(reader.join().unwrap(), b"a,b\n");
+        assert_eq!(names(folder.path()), ["fifo"]);
+
+        let mut full = TableFile::create(Path::new("/dev/full")).unwrap();
+        assert_eq!(full.write(b"a").unwrap_err().kind(), io::ErrorKind::StorageFull);
+    }
 }

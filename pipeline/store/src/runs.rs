@@ -1,7 +1,9 @@
 //! Sorted runs: pairs of ids that were sorted in memory, put away packed, and merged at the end.
+//! As much as the limit allows is held, the rest goes to one temporary file.
 
+use std::cell::{Cell, OnceCell};
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -11,37 +13,46 @@ use crate::StoreError;
 /// A pair of ids; pairs are ordered by their first id, then the second.
 pub type Pair = (u32, u32);
 
-/// Bytes of a run that are read at once while merging.
-const READ_BYTES: usize = 1 << 16;
-/// Runs that are merged at once: with one buffer each, 16 MiB.
+/// The longest a piece of a run can be.
+const PIECE_BYTES: usize = 1 << 16;
+/// Runs that are merged at once: with a piece of each, 16 MiB.
 const MAX_FAN_IN: usize = 256;
 /// The longest a packed pair can be: two varints of five bytes.
 const MAX_PAIR_BYTES: usize = 10;
 
-/// Runs in one temporary file without a name.
+/// Runs that may be larger than memory.
 #[derive(Debug)]
 pub struct Runs {
-    folder: PathBuf,
-    file: Option<File>,
+    shelf: Shelf,
     runs: Vec<Run>,
-    end_bytes: u64,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Run {
-    offset_bytes: u64,
-    len_bytes: u64,
+/// Pieces of whole packed pairs, in order.
+type Run = VecDeque<Piece>;
+
+#[derive(Debug)]
+enum Piece {
+    Held(Vec<u8>),
+    OnDisk { offset_bytes: u64, len_bytes: usize },
 }
 
 impl Runs {
-    /// Makes an empty set; its file is made in `folder` when it is needed.
-    pub fn new(folder: &Path) -> Runs {
-        Runs { folder: folder.to_path_buf(), file: None, runs: Vec::new(), end_bytes: 0 }
+    /// Makes an empty set that holds at most `limit_bytes` in memory; a temporary file without a
+    /// name is made in `folder` when it is needed, and ends with the process.
+    pub fn new(folder: &Path, limit_bytes: u64) -> Runs {
+        let shelf = Shelf {
+            folder: folder.to_path_buf(),
+            file: OnceCell::new(),
+            file_bytes: Cell::new(0),
+            held_bytes: Cell::new(0),
+            limit_bytes,
+        };
+        Runs { shelf, runs: Vec::new() }
     }
 
-    /// Gives the bytes on disk.
+    /// Gives the bytes that went to disk so far.
     pub fn spilled_bytes(&self) -> u64 {
-        self.end_bytes
+        self.shelf.file_bytes.get()
     }
 
     /// Puts away a run: pairs that rise strictly.
@@ -49,11 +60,13 @@ impl Runs {
     /// # Errors
     /// Where the disk fails or is full.
     pub fn push(&mut self, pairs: &[Pair]) -> Result<(), StoreError> {
-        let mut writer = self.writer()?;
+        let mut packer = Packer::new(&self.shelf);
         for &pair in pairs {
-            writer.put(pair)?;
+            packer.put(pair)?;
         }
-        writer.finish()
+        let run = packer.finish()?;
+        self.runs.extend((!run.is_empty()).then_some(run));
+        Ok(())
     }
 
     /// Walks all pairs of all runs and of `rest` (which rises too) in order. A pair that stands in
@@ -62,87 +75,113 @@ impl Runs {
     /// # Errors
     /// Where the disk or `each` fails.
     pub fn merge<E: From<StoreError>>(
-        mut self,
+        self,
         rest: &[Pair],
-        mut each: impl FnMut(Pair) -> Result<(), E>,
+        each: impl FnMut(Pair) -> Result<(), E>,
     ) -> Result<(), E> {
-        while self.runs.len() > MAX_FAN_IN {
-            let group: Vec<Run> = self.runs.drain(..MAX_FAN_IN).collect();
-            let mut cursors = self.cursors(&group)?;
-            let source = self.file()?.try_clone().map_err(|e| self.fail(e))?;
-            let folder = self.folder.clone();
-            let mut writer = self.writer()?;
-            merge_cursors(&source, &folder, &mut cursors, &[], |pair| writer.put(pair))?;
-            writer.finish()?;
+        let Runs { shelf, mut runs } = self;
+        while runs.len() > MAX_FAN_IN {
+            let group = runs.drain(..MAX_FAN_IN).collect();
+            let mut packer = Packer::new(&shelf);
+            merge_runs(&shelf, group, &[], |pair| packer.put(pair))?;
+            runs.push(packer.finish()?);
         }
-        if self.runs.is_empty() {
-            return rest.iter().try_for_each(|&pair| each(pair));
-        }
-        let mut cursors = self.cursors(&self.runs)?;
-        let source = self.file.as_ref().expect("a run was written, so there is a file");
-        merge_cursors(source, &self.folder, &mut cursors, rest, each)
-    }
-
-    fn cursors(&self, runs: &[Run]) -> Result<Vec<Cursor>, StoreError> {
-        Ok(runs.iter().map(|&run| Cursor::new(run)).collect())
-    }
-
-    fn fail(&self, e: std::io::Error) -> StoreError {
-        StoreError::io(&self.folder, "use a temporary file in", e)
-    }
-
-    fn file(&mut self) -> Result<&File, StoreError> {
-        if self.file.is_none() {
-            let made = tempfile::tempfile_in(&self.folder).map_err(|e| self.fail(e))?;
-            self.file = Some(made);
-        }
-        Ok(self.file.as_ref().expect("made above"))
-    }
-
-    fn writer(&mut self) -> Result<RunWriter<'_>, StoreError> {
-        self.file()?;
-        let start = self.end_bytes;
-        Ok(RunWriter { runs: self, start, buffer: Vec::with_capacity(READ_BYTES), before: (0, 0) })
+        merge_runs(&shelf, runs, rest, each)
     }
 }
 
-struct RunWriter<'a> {
-    runs: &'a mut Runs,
-    start: u64,
+/// Where pieces are kept.
+#[derive(Debug)]
+struct Shelf {
+    folder: PathBuf,
+    file: OnceCell<File>,
+    file_bytes: Cell<u64>,
+    held_bytes: Cell<u64>,
+    limit_bytes: u64,
+}
+
+impl Shelf {
+    /// Keeps a piece, in memory while the limit allows.
+    fn keep(&self, bytes: &[u8]) -> Result<Piece, StoreError> {
+        let held_bytes = self.held_bytes.get() + bytes.len() as u64;
+        if held_bytes <= self.limit_bytes {
+            self.held_bytes.set(held_bytes);
+            return Ok(Piece::Held(bytes.to_vec()));
+        }
+        let offset_bytes = self.file_bytes.get();
+        let written = self.file()?.write_all_at(bytes, offset_bytes);
+        written.map_err(|e| StoreError::io(&self.folder, "write a temporary file in", e))?;
+        self.file_bytes.set(offset_bytes + bytes.len() as u64);
+        Ok(Piece::OnDisk { offset_bytes, len_bytes: bytes.len() })
+    }
+
+    /// Moves a piece into a buffer and releases what it held.
+    fn take(&self, piece: Piece, buffer: &mut Vec<u8>) -> Result<(), StoreError> {
+        match piece {
+            Piece::Held(bytes) => {
+                self.held_bytes.set(self.held_bytes.get() - bytes.len() as u64);
+                *buffer = bytes;
+                Ok(())
+            }
+            Piece::OnDisk { offset_bytes, len_bytes } => {
+                buffer.resize(len_bytes, 0);
+                self.file()?
+                    .read_exact_at(buffer, offset_bytes)
+                    .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))
+            }
+        }
+    }
+
+    fn file(&self) -> Result<&File, StoreError> {
+        if let Some(file) = self.file.get() {
+            return Ok(file);
+        }
+        let made = tempfile::tempfile_in(&self.folder)
+            .map_err(|e| StoreError::io(&self.folder, "make a temporary file in", e))?;
+        Ok(self.file.get_or_init(|| made))
+    }
+}
+
+/// Packs pairs into the pieces of a run.
+struct Packer<'a> {
+    shelf: &'a Shelf,
+    run: Run,
     buffer: Vec<u8>,
     before: Pair,
 }
 
-impl RunWriter<'_> {
+impl Packer<'_> {
+    fn new(shelf: &Shelf) -> Packer<'_> {
+        let buffer = Vec::with_capacity(PIECE_BYTES);
+        Packer { shelf, run: Run::new(), buffer, before: (0, 0) }
+    }
+
     fn put(&mut self, pair: Pair) -> Result<(), StoreError> {
         let step = pair.0 - self.before.0;
         put_varint(&mut self.buffer, step);
         // Within a list the partners rise too; the first of a list stands as it is.
         put_varint(&mut self.buffer, if step == 0 { pair.1 - self.before.1 } else { pair.1 });
         self.before = pair;
-        if self.buffer.len() > READ_BYTES - MAX_PAIR_BYTES { self.flush() } else { Ok(()) }
+        if self.buffer.len() > PIECE_BYTES - MAX_PAIR_BYTES { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<(), StoreError> {
-        let file = self.runs.file.as_ref().expect("the writer was made with a file");
-        file.write_all_at(&self.buffer, self.runs.end_bytes).map_err(|e| self.runs.fail(e))?;
-        self.runs.end_bytes += self.buffer.len() as u64;
-        self.buffer.clear();
-        Ok(())
-    }
-
-    fn finish(mut self) -> Result<(), StoreError> {
-        self.flush()?;
-        let len_bytes = self.runs.end_bytes - self.start;
-        if len_bytes > 0 {
-            self.runs.runs.push(Run { offset_bytes: self.start, len_bytes });
+        if !self.buffer.is_empty() {
+            self.run.push_back(self.shelf.keep(&self.buffer)?);
+            self.buffer.clear();
         }
         Ok(())
     }
+
+    fn finish(mut self) -> Result<Run, StoreError> {
+        self.flush()?;
+        Ok(self.run)
+    }
 }
 
-/// A place in a run, with the bytes around it.
+/// A place in a run.
 struct Cursor {
+    /// What lies beyond the buffer.
     run: Run,
     buffer: Vec<u8>,
     at: usize,
@@ -154,20 +193,11 @@ impl Cursor {
         Cursor { run, buffer: Vec::new(), at: 0, before: (0, 0) }
     }
 
-    fn next(&mut self, file: &File, folder: &Path) -> Result<Option<Pair>, StoreError> {
-        if self.buffer.len() - self.at < MAX_PAIR_BYTES && self.run.len_bytes > 0 {
-            self.buffer.drain(..self.at);
-            self.at = 0;
-            let kept = self.buffer.len();
-            let n = (READ_BYTES - kept).min(self.run.len_bytes.try_into().unwrap_or(usize::MAX));
-            self.buffer.resize(kept + n, 0);
-            file.read_exact_at(&mut self.buffer[kept..], self.run.offset_bytes)
-                .map_err(|e| StoreError::io(folder, "read a temporary file in", e))?;
-            self.run.offset_bytes += n as u64;
-            self.run.len_bytes -= n as u64;
-        }
+    fn next(&mut self, shelf: &Shelf) -> Result<Option<Pair>, StoreError> {
         if self.at == self.buffer.len() {
-            return Ok(None);
+            let Some(piece) = self.run.pop_front() else { return Ok(None) };
+            shelf.take(piece, &mut self.buffer)?;
+            self.at = 0;
         }
         let step = take_varint(&self.buffer, &mut self.at);
         let second = take_varint(&self.buffer, &mut self.at);
@@ -178,23 +208,23 @@ impl Cursor {
 }
 
 /// Merges by a heap of the next pair of each run.
-fn merge_cursors<E: From<StoreError>>(
-    file: &File,
-    folder: &Path,
-    cursors: &mut [Cursor],
+fn merge_runs<E: From<StoreError>>(
+    shelf: &Shelf,
+    runs: Vec<Run>,
     rest: &[Pair],
     mut each: impl FnMut(Pair) -> Result<(), E>,
 ) -> Result<(), E> {
+    let mut cursors: Vec<Cursor> = runs.into_iter().map(Cursor::new).collect();
     let mut heap = BinaryHeap::with_capacity(cursors.len() + 1);
     for (i, cursor) in cursors.iter_mut().enumerate() {
-        heap.extend(cursor.next(file, folder)?.map(|pair| Reverse((pair, i))));
+        heap.extend(cursor.next(shelf)?.map(|pair| Reverse((pair, i))));
     }
     let mut rest = rest.iter().copied();
     heap.extend(rest.next().map(|pair| Reverse((pair, usize::MAX))));
     while let Some(mut top) = heap.peek_mut() {
         let Reverse((pair, i)) = *top;
         each(pair)?;
-        let next = if i == usize::MAX { rest.next() } else { cursors[i].next(file, folder)? };
+        let next = if i == usize::MAX { rest.next() } else { cursors[i].next(shelf)? };
         match next {
             // Replacing the top in place costs one sift instead of a pop and a push.
             Some(next) => *top = Reverse((next, i)),
@@ -232,37 +262,46 @@ fn take_varint(bytes: &[u8], at: &mut usize) -> u32 {
 mod tests {
     use super::*;
 
+    fn merged(runs: Runs, rest: &[Pair]) -> Vec<Pair> {
+        let mut merged = Vec::new();
+        let each = |pair| {
+            merged.push(pair);
+            Ok::<_, StoreError>(())
+        };
+        runs.merge(rest, each).unwrap();
+        merged
+    }
+
     #[test]
-    fn runs_merge_in_order() {
+    fn runs_merge_in_order_held_or_not() {
         let folder = tempfile::tempdir().unwrap();
-        let mut runs = Runs::new(folder.path());
         let pair = |i: u32| (i / 300, (i % 300).pow(3));
         let n = 200_000;
+        let expected: Vec<Pair> = (0..n).map(pair).collect();
         // More runs than one merge can take, so that some are merged twice.
-        for r in 0..600 {
-            let run: Vec<Pair> = (0..n).filter(|i| i % 601 == r).map(pair).collect();
-            runs.push(&run).unwrap();
+        for (n_runs, limit_bytes) in
+            [(600, 0), (600, 100_000), (600, u64::MAX), (3, 0), (3, 100_000), (3, u64::MAX)]
+        {
+            let mut runs = Runs::new(folder.path(), limit_bytes);
+            for r in 0..n_runs {
+                let run: Vec<Pair> = (0..n).filter(|i| i % (n_runs + 1) == r).map(pair).collect();
+                runs.push(&run).unwrap();
+                assert!(runs.shelf.held_bytes.get() <= limit_bytes);
+            }
+            let is_held = runs.spilled_bytes() == 0;
+            assert_eq!(is_held, limit_bytes == u64::MAX, "{n_runs} runs, {limit_bytes} bytes");
+            assert_eq!(runs.shelf.file.get().is_none(), is_held);
+            let rest: Vec<Pair> = (0..n).filter(|i| i % (n_runs + 1) == n_runs).map(pair).collect();
+            assert!(merged(runs, &rest) == expected, "{n_runs} runs, {limit_bytes} bytes");
         }
-        let rest: Vec<Pair> = (0..n).filter(|i| i % 601 == 600).map(pair).collect();
-        let mut merged = Vec::new();
-        runs.merge(&rest, |p| {
-            merged.push(p);
-            Ok::<_, StoreError>(())
-        })
-        .unwrap();
-        assert_eq!(merged, (0..n).map(pair).collect::<Vec<_>>());
     }
 
     #[test]
     fn no_runs_give_the_rest() {
         let folder = tempfile::tempdir().unwrap();
-        let mut merged = Vec::new();
         let rest = [(1, 2), (1, u32::MAX), (u32::MAX, 0)];
-        let each = |p| {
-            merged.push(p);
-            Ok::<_, StoreError>(())
-        };
-        Runs::new(folder.path()).merge(&rest, each).unwrap();
-        assert_eq!(merged, rest);
+        let mut runs = Runs::new(folder.path(), 0);
+        runs.push(&[]).unwrap();
+        assert_eq!(merged(runs, &rest), rest);
     }
 }

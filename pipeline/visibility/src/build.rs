@@ -161,6 +161,9 @@ struct LinkSink {
 /// Sorting in place, twice the buffer for its growth.
 const BUFFER_COST_BYTES: u64 = 16;
 
+/// Finished runs may hold an eighth: half goes to the buffers, the rest is for deciders.
+const HELD_PART: u64 = 8;
+
 impl LinkSink {
     fn new(options: &BuildOptions, tree: &Tree) -> Result<LinkSink, StoreError> {
         let fixed = fixed_bytes(tree);
@@ -168,9 +171,13 @@ impl LinkSink {
         let least = n_threads * (1 << 20);
         let what = "the surfels and nodes of this tree";
         pvmap_store::memory::require(what, fixed + least, options.memory_bytes)?;
-        let share = (options.memory_bytes - fixed) / n_threads / 2;
+        let spare = options.memory_bytes - fixed;
+        // Half for the buffers of the threads, an eighth for runs, the rest for merging and writing.
+        let share = spare / 2 / n_threads;
         let buffer_links = (share / BUFFER_COST_BYTES) as usize;
-        Ok(LinkSink { runs: Mutex::new(Runs::new(folder_of(&options.output))), buffer_links })
+        let runs =
+            Runs::new(folder_of(&options.output), (options.memory_bytes - fixed) / HELD_PART);
+        Ok(LinkSink { runs: Mutex::new(runs), buffer_links })
     }
 
     fn put_when_full(&self, links: &mut Vec<Pair>) -> Result<(), StoreError> {

@@ -7,13 +7,13 @@
 
 use std::ops::Range;
 
-use pvmap_geometry::disc::{Disc, Profile, faces_both};
+use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{Corridor, Depth, Occluder, refine};
-use crate::kernel::{Blockers, Counts, End, Recent};
+use crate::kernel::{Blockers, Counts, Ends, Recent, Tile, WIDTH};
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,39 +41,50 @@ pub struct Scene<'a> {
     pub profile: Profile,
 }
 
-/// The statuses of a pair's child pairs, gathered.
-#[derive(Debug, Default)]
+/// The statuses of a pair's child pairs, gathered. Links found below go to the one list of links;
+/// if in the end all child pairs are VISIBLE those of this pair are taken back.
+#[derive(Debug)]
 pub struct Gathered {
-    visible: Vec<Pair>,
-    n_others: usize,
-    some_partial: bool,
+    /// Length of the list of links before this pair.
+    from: usize,
+    all_visible: bool,
+    any_visible: bool,
 }
 
 impl Gathered {
-    /// Notes the status of a child pair.
-    pub fn note(&mut self, a: u32, b: u32, status: Status) {
-        match status {
-            Status::Visible => self.visible.push((a.min(b), a.max(b))),
-            Status::Invisible => self.n_others += 1,
-            Status::Partial => {
-                self.n_others += 1;
-                self.some_partial = true;
-            }
-        }
+    /// Starts a pair.
+    pub fn new(links: &[Pair]) -> Gathered {
+        Gathered { from: links.len(), all_visible: true, any_visible: false }
     }
 
-    /// Gives the status of the pair; if it is PARTIAL its visible child pairs become links.
+    /// Notes the status of a child pair.
+    #[inline]
+    pub fn note(&mut self, a: u32, b: u32, status: Status, links: &mut Vec<Pair>) {
+        match status {
+            Status::Visible => links.push((a.min(b), a.max(b))),
+            Status::Invisible | Status::Partial => self.all_visible = false,
+        }
+        self.any_visible |= status != Status::Invisible;
+    }
+
+    /// Gives the status of the pair.
+    #[inline]
     pub fn settle(&self, links: &mut Vec<Pair>) -> Status {
-        if self.n_others == 0 {
-            return Status::Visible;
+        match (self.all_visible, self.any_visible) {
+            (true, _) => {
+                links.truncate(self.from);
+                Status::Visible
+            }
+            (false, false) => Status::Invisible,
+            (false, true) => Status::Partial,
         }
-        if self.visible.is_empty() && !self.some_partial {
-            return Status::Invisible;
-        }
-        links.extend_from_slice(&self.visible);
-        Status::Partial
     }
 }
+
+/// Leaves of a side of a block at most: the bits of a mask.
+const MAX_SIDE: u32 = u64::BITS;
+/// Leaf pairs that are decided together, at most.
+const BLOCK_PAIRS: u32 = 1024;
 
 /// Decides node pairs on one thread; its buffers serve one pair after another.
 #[derive(Debug)]
@@ -83,10 +94,10 @@ pub struct Decider<'a> {
     candidates: Vec<u32>,
     blockers: Blockers,
     recent: Recent,
-    /// Gathered statuses that are not in use.
-    spare: Vec<Gathered>,
-    /// Leaf pairs of the pair at hand that are not settled yet.
-    open: Vec<(u32, u32)>,
+    /// The rows and the columns of the block at hand, by eights.
+    sides: [Vec<Ends>; 2],
+    /// For each row of the block, a bit a column that nothing has blocked yet.
+    open: Vec<u64>,
     /// What it took so far.
     pub counts: Counts,
 }
@@ -99,7 +110,7 @@ impl<'a> Decider<'a> {
             candidates: Vec::new(),
             blockers: Blockers::default(),
             recent: Recent::default(),
-            spare: Vec::new(),
+            sides: [Vec::new(), Vec::new()],
             open: Vec::new(),
             counts: Counts::default(),
         }
@@ -120,8 +131,9 @@ impl<'a> Decider<'a> {
         if facing == Facing::Never {
             return Status::Invisible;
         }
-        if self.ends_in_leaves(a) && self.ends_in_leaves(b) {
-            return self.leaf_pairs(a, b, list, links);
+        let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
+        if n_a.max(n_b) <= MAX_SIDE && n_a * n_b <= BLOCK_PAIRS {
+            return self.block(a, b, list, links);
         }
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
         let refined = self.refined(a, b, Depth::Level(level), list);
@@ -134,9 +146,9 @@ impl<'a> Decider<'a> {
         status
     }
 
-    /// Says whether kids(A) are leaves.
-    fn ends_in_leaves(&self, id: u32) -> bool {
-        self.scene.tree.kids(id).all(|k| self.scene.tree.nodes[k as usize].is_leaf())
+    fn n_leaves(&self, id: u32) -> u32 {
+        let node = &self.scene.tree.nodes[id as usize];
+        node.end_surfel - node.first_surfel
     }
 
     /// Refines a list for a pair; the caller gives the room back.
@@ -150,88 +162,143 @@ impl<'a> Decider<'a> {
 
     fn child_pairs(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         let tree = self.scene.tree;
-        let mut gathered = self.spare.pop().unwrap_or_default();
+        let mut gathered = Gathered::new(links);
         for x in tree.kids(a) {
             for y in tree.kids(b) {
                 let status = self.pair(x, y, list.clone(), links);
-                gathered.note(x, y, status);
+                gathered.note(x, y, status, links);
             }
         }
-        self.settle(gathered, links)
+        gathered.settle(links)
     }
 
-    /// Decides kids(A) × kids(B), all leaves. What discs of late memory block is settled first;
-    /// only if something is left are candidates looked for.
-    fn leaf_pairs(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
-        let mut gathered = self.spare.pop().unwrap_or_default();
-        self.open.clear();
-        self.try_recent(a, b, &mut gathered);
-        if !self.open.is_empty() {
+    /// Decides all leaf pairs under a pair at once: rows are the leaves under `a`, columns those
+    /// under `b`. What discs of late memory block is settled first; only if something is left are
+    /// candidates looked for.
+    fn block(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
+        self.load_block(a, b);
+        if self.try_recent() {
             let refined = self.refined(a, b, Depth::Leaves, list);
-            self.try_candidates(refined.clone(), &mut gathered);
+            self.try_candidates(refined.clone());
             self.candidates.truncate(refined.start);
         }
-        self.settle(gathered, links)
+        let first = [a, b].map(|id| self.scene.tree.nodes[id as usize].first_surfel);
+        Block { tree: self.scene.tree, first, open: &self.open }.fold(a, b, links)
     }
 
-    /// Settles leaf pairs that do not face each other or that a remembered disc blocks.
-    fn try_recent(&mut self, a: u32, b: u32, gathered: &mut Gathered) {
-        let Scene { tree, discs, profile, .. } = self.scene;
-        let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        for x in tree.kids(a) {
-            let from = End::new(discs, surfel(x));
-            self.recent.blockers().start_at(&from);
-            for y in tree.kids(b) {
-                let to = End::new(discs, surfel(y));
-                if !faces_both(&discs[from.id as usize], &discs[to.id as usize]) {
-                    gathered.note(x, y, Status::Invisible);
-                    continue;
-                }
-                self.counts.n_segments += 1;
-                let remembered = self.recent.blockers();
-                if remembered.find(profile, discs, &from, &to, &mut self.counts).is_some() {
-                    self.counts.n_remembered += 1;
-                    gathered.note(x, y, Status::Invisible);
-                } else {
-                    self.open.push((x, y));
+    /// Loads the leaves of a block and opens the pairs that face each other.
+    fn load_block(&mut self, a: u32, b: u32) {
+        let Scene { tree, discs, .. } = self.scene;
+        for (side, id) in self.sides.iter_mut().zip([a, b]) {
+            let node = &tree.nodes[id as usize];
+            let starts = (node.first_surfel..node.end_surfel).step_by(WIDTH);
+            side.clear();
+            side.extend(
+                starts.map(|first| {
+                    Ends::new(discs, first..node.end_surfel.min(first + WIDTH as u32))
+                }),
+            );
+        }
+        let [rows, columns] = &self.sides;
+        self.open.clear();
+        self.open.resize(rows.len() * WIDTH, 0);
+        for (rows, open) in rows.iter().zip(self.open.chunks_mut(WIDTH)) {
+            for (i, columns) in columns.iter().enumerate() {
+                for (open, facing) in open.iter_mut().zip(rows.faces(columns)) {
+                    *open |= facing << (i * WIDTH);
                 }
             }
         }
     }
 
-    /// Settles the open leaf pairs against a list that holds all their blockers.
-    fn try_candidates(&mut self, list: Range<usize>, gathered: &mut Gathered) {
-        let Scene { tree, discs, profile, .. } = self.scene;
+    /// Closes what a remembered disc blocks; says whether something is still open.
+    fn try_recent(&mut self) -> bool {
+        let Scene { discs, profile, .. } = self.scene;
+        let counts = &mut self.counts;
+        let blockers = self.recent.blockers();
+        let mut n_left = 0;
+        for_open_tiles(&self.sides, &mut self.open, |tile| {
+            let n_open = tile.n_open();
+            blockers.shoot(profile, discs, tile, counts);
+            let left = tile.n_open();
+            counts.n_segments += n_open;
+            counts.n_remembered += n_open - left;
+            n_left += left;
+        });
+        n_left > 0
+    }
+
+    /// Closes what a list blocks that holds all blockers of the block.
+    fn try_candidates(&mut self, list: Range<usize>) {
+        let Scene { tree, discs, bounds, profile, .. } = self.scene;
         let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        let ids = self.candidates[list].iter().map(|&node| surfel(node));
-        self.blockers.load(profile, discs, ids);
+        let leaves = self.candidates[list].iter();
+        let reaches = leaves.map(|&k| (surfel(k), bounds[k as usize].blockers));
+        self.blockers.load(discs, reaches);
         self.counts.n_loaded += self.blockers.len() as u64;
-        let open = std::mem::take(&mut self.open);
-        for group in open.chunk_by(|p, q| p.0 == q.0) {
-            let from = End::new(discs, surfel(group[0].0));
-            self.blockers.start_at(&from);
-            for &(x, y) in group {
-                let to = End::new(discs, surfel(y));
-                let found = self.blockers.find(profile, discs, &from, &to, &mut self.counts);
-                let status = match found {
-                    None => Status::Visible,
-                    Some(position) => {
-                        self.recent.remember(profile, discs, self.blockers.id(position));
-                        Status::Invisible
-                    }
-                };
-                gathered.note(x, y, status);
+        if self.blockers.is_empty() {
+            return;
+        }
+        for_open_tiles(&self.sides, &mut self.open, |tile| {
+            if let Some((id, reach)) = self.blockers.shoot(profile, discs, tile, &mut self.counts) {
+                self.recent.remember(discs, id, &reach);
+            }
+        });
+    }
+}
+
+/// Hands out the tiles of a block in which some segment is open.
+fn for_open_tiles(sides: &[Vec<Ends>; 2], open: &mut [u64], mut shoot: impl FnMut(&mut Tile<'_>)) {
+    let [rows, columns] = sides;
+    for (rows, open) in rows.iter().zip(open.chunks_mut(WIDTH)) {
+        for (i, columns) in columns.iter().enumerate() {
+            let mut tile = Tile { rows, columns, open: [0; WIDTH] };
+            for (lanes, open) in tile.open.iter_mut().zip(&*open) {
+                *lanes = open >> (i * WIDTH) & 0xff;
+            }
+            if tile.open == [0; WIDTH] {
+                continue;
+            }
+            let before = tile.open;
+            shoot(&mut tile);
+            for ((open, before), after) in open.iter_mut().zip(before).zip(tile.open) {
+                *open &= !((before & !after) << (i * WIDTH));
             }
         }
-        self.open = open;
     }
+}
 
-    fn settle(&mut self, mut gathered: Gathered, links: &mut Vec<Pair>) -> Status {
-        let status = gathered.settle(links);
-        gathered.visible.clear();
-        gathered.n_others = 0;
-        gathered.some_partial = false;
-        self.spare.push(gathered);
-        status
+/// The decided leaf pairs of a block.
+struct Block<'a> {
+    tree: &'a Tree,
+    /// The first surfel of the rows and of the columns.
+    first: [u32; 2],
+    /// The visible columns of each row, a bit each.
+    open: &'a [u64],
+}
+
+impl Block<'_> {
+    /// Makes statuses and links of the leaf pairs under a pair of nodes of the block.
+    fn fold(&self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
+        let [rows, columns] = [(a, self.first[0]), (b, self.first[1])].map(|(id, first)| {
+            let node = &self.tree.nodes[id as usize];
+            (node.first_surfel - first) as usize..(node.end_surfel - first) as usize
+        });
+        let mask = (u64::MAX >> (u64::BITS as usize - columns.len())) << columns.start;
+        let rows = &self.open[rows];
+        if rows.iter().all(|open| open & mask == 0) {
+            return Status::Invisible;
+        }
+        if rows.iter().all(|open| open & mask == mask) {
+            return Status::Visible;
+        }
+        for x in self.tree.kids(a) {
+            for y in self.tree.kids(b) {
+                if self.fold(x, y, links) == Status::Visible {
+                    links.push((x.min(y), x.max(y)));
+                }
+            }
+        }
+        Status::Partial
     }
 }

@@ -81,10 +81,10 @@ impl Plan {
                 By::Facing => Status::Invisible,
                 By::Task(task) => task_statuses[*task],
                 By::Children(children) => {
-                    let mut gathered = Gathered::default();
+                    let mut gathered = Gathered::new(links);
                     for &child in children {
                         let pair = &self.planned[child];
-                        gathered.note(pair.a, pair.b, statuses[child]);
+                        gathered.note(pair.a, pair.b, statuses[child], links);
                     }
                     gathered.settle(links)
                 }

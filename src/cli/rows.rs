@@ -1,0 +1,178 @@
+//! Rows of a table that may be as long as it likes, but not a row of it.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use csv::StringRecord;
+use pvmap::{Error, StoreError};
+
+/// The longest a row may be: twelve numbers take 300 bytes, the rest is for columns of others.
+const MAX_ROW_BYTES: u64 = 1 << 16;
+
+/// The rows of a CSV file or of standard input, with the header row read.
+pub(super) struct Rows {
+    reader: csv::Reader<Guard<Box<dyn Read>>>,
+    header: StringRecord,
+    path: PathBuf,
+}
+
+impl Rows {
+    /// Opens a file, or standard input for `-`, and reads the header row.
+    ///
+    /// # Errors
+    /// Where it cannot be opened or the header row cannot be read.
+    pub(super) fn open(path: &Path) -> Result<Rows, Error> {
+        let input: Box<dyn Read> = match path.as_os_str() == "-" {
+            true => Box::new(io::stdin().lock()),
+            false if path.is_dir() => {
+                return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
+            }
+            false => Box::new(File::open(path).map_err(|e| StoreError::io(path, "open", e))?),
+        };
+        Rows::of(input, path)
+    }
+
+    fn of(input: Box<dyn Read>, path: &Path) -> Result<Rows, Error> {
+        let guard = Guard { input, n_given: 0, given: Vec::new(), row_start: 0 };
+        let reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .flexible(true)
+            .has_headers(false)
+            .from_reader(guard);
+        let mut rows = Rows { reader, header: StringRecord::new(), path: path.to_path_buf() };
+        rows.header = rows.next()?.unwrap_or_default();
+        Ok(rows)
+    }
+
+    /// Gives the header row; it is empty where there is none.
+    pub(super) fn header(&self) -> &StringRecord {
+        &self.header
+    }
+
+    /// Reads the next row; none at the end.
+    ///
+    /// # Errors
+    /// Where the row is too long or no text, or the disk fails; the error names its line.
+    pub(super) fn next(&mut self) -> Result<Option<StringRecord>, Error> {
+        let start = self.reader.position().byte();
+        let line = self.reader.position().line() + self.reader.get_mut().begin_row(start);
+        let located = |what: &dyn std::fmt::Display| {
+            Error::Data(format!("{}: line {line}: {what}", self.path.display()))
+        };
+        let too_long = format!(
+            "a row of more than {MAX_ROW_BYTES} bytes; give one pair a line and close every quote"
+        );
+        let mut row = StringRecord::new();
+        let is_row = self.reader.read_record(&mut row).map_err(|e| match e.into_kind() {
+            csv::ErrorKind::Io(e) if e.get_ref().is_some_and(|e| e.is::<RowTooLong>()) => {
+                located(&too_long)
+            }
+            csv::ErrorKind::Io(e) => StoreError::io(&self.path, "read", e).into(),
+            csv::ErrorKind::Utf8 { err, .. } => {
+                located(&format!("column {}: this is not UTF-8 text", err.field() + 1))
+            }
+            // Rows of any length are taken and none is deserialised or sought.
+            other => located(&format!("{other:?}")),
+        })?;
+        if self.reader.position().byte() - start > MAX_ROW_BYTES {
+            return Err(located(&too_long));
+        }
+        Ok(is_row.then_some(row))
+    }
+}
+
+/// Hands on bytes until a row takes too many: `csv` would hold them all.
+///
+/// The parser asks for more when it has worked through what it was given. So by then the row at
+/// hand is known to be as long as what was given beyond its start.
+struct Guard<R> {
+    input: R,
+    n_given: u64,
+    /// The bytes given last.
+    given: Vec<u8>,
+    /// Where the row at hand begins.
+    row_start: u64,
+}
+
+impl<R> Guard<R> {
+    /// Notes where a row begins, and counts the line ends in front of it: the second half of the
+    /// row's before, and blank lines.
+    fn begin_row(&mut self, start: u64) -> u64 {
+        self.row_start = start;
+        let n_ahead = (self.n_given - start).min(self.given.len() as u64) as usize;
+        let ahead = self.given[self.given.len() - n_ahead..].iter();
+        let ends = ahead.take_while(|b| [b'\r', b'\n'].contains(b));
+        ends.filter(|&&b| b == b'\n').count() as u64
+    }
+}
+
+impl<R: Read> Read for Guard<R> {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        if self.n_given - self.row_start > MAX_ROW_BYTES {
+            return Err(io::Error::other(RowTooLong));
+        }
+        let n = self.input.read(buf)?;
+        self.n_given += n as u64;
+        self.given.clear();
+        self.given.extend_from_slice(&buf[..n]);
+        Ok(n)
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("a row is too long")]
+struct RowTooLong;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Reads all rows of a text that comes in pieces of `step` bytes: their number, or the error.
+    fn read(text: &str, step: usize) -> Result<usize, String> {
+        struct Pieces(io::Cursor<Vec<u8>>, usize);
+        impl Read for Pieces {
+            fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+                let n = buf.len().min(self.1);
+                self.0.read(&mut buf[..n])
+            }
+        }
+        let input = Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step));
+        let mut rows = Rows::of(input, Path::new("rows.csv")).map_err(|e| e.to_string())?;
+        let mut n = 0;
+        while rows.next().map_err(|e| e.to_string())?.is_some() {
+            n += 1;
+        }
+        Ok(n)
+    }
+
+    fn row_of(len: usize) -> String {
+        "1".repeat(len)
+    }
+
+    #[test]
+    fn a_row_is_as_long_as_the_limit_or_refused_however_it_comes() {
+        for step in [1000, 4096, usize::MAX] {
+            for (len, is_fine) in
+                [(65_500, true), (65_535, true), (65_536, false), (200_000, false)]
+            {
+                let found = read(&format!("a,b\n1,2\n{}\n3,4\n", row_of(len)), step);
+                match is_fine {
+                    true => assert_eq!(found, Ok(3), "{len}"),
+                    false => assert!(found.unwrap_err().starts_with("rows.csv: line 3: a row of")),
+                }
+            }
+            // An open quote makes the rest of the file one row.
+            let open = format!("a,b\n1,\"2\n{}", "3,4\n".repeat(1 << 20));
+            assert!(read(&open, step).unwrap_err().starts_with("rows.csv: line 2: a row of"));
+            for nl in ["\n", "\r\n", "\n\n", "\r\n\r\n"] {
+                let text = ["a,b", "1,2", &row_of(70_000)].join(nl);
+                let line = 1 + 2 * nl.matches('\n').count();
+                let found = read(&text, step).unwrap_err();
+                assert!(found.starts_with(&format!("rows.csv: line {line}: ")), "{nl:?}: {found}");
+            }
+            // Many short ones are no long one.
+            assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The help of every command, and what `info` prints, held against snapshots: a change of a word
+//! is seen in review. Snapshots have the form of insta's; INSTA_UPDATE=always writes them anew.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
+
+mod cli_common;
+
+use std::path::Path;
+
+use cli_common::{Bench, room};
+
+/// Compares a text with its snapshot.
+#[track_caller]
+fn assert_snapshot(name: &str, text: &str) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots");
+    let path = folder.join(format!("help__{name}.snap"));
+    let header = "---\nsource: tests/help.rs\nexpression: text\n---\n";
+    let found = format!("{header}{}\n", text.trim_end());
+    if std::env::var_os("INSTA_UPDATE").is_some_and(|v| v == "always") {
+        std::fs::create_dir_all(folder).unwrap();
+        std::fs::write(&path, &found).unwrap();
+    }
+    let expected = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        found == expected,
+        "{name} is not as in {}; INSTA_UPDATE=always accepts it:\n{found}",
+        path.display()
+    );
+}
+
+/// Every page of help: its name, and what asks for it.
+const PAGES: [(&str, &str); 11] = [
+    ("pvmap", "--help"),
+    ("ingest", "ingest --help"),
+    ("build", "build --help"),
+    ("query", "query --help"),
+    ("query_pair", "query a.vmap pair --help"),
+    ("query_pairs", "query a.vmap pairs --help"),
+    ("info", "info --help"),
+    ("verify", "verify --help"),
+    ("export", "export --help"),
+    ("scene", "scene --help"),
+    ("demo", "demo --help"),
+];
+
+#[test]
+fn help_is_as_it_was() {
+    let bench = Bench::new();
+    for (name, line) in PAGES {
+        assert_snapshot(name, &bench.line(line).ok().stdout);
+    }
+}
+
+#[test]
+fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
+    let bench = Bench::new();
+    for (name, line) in PAGES {
+        let page = bench.line(line).ok().stdout;
+        for line in page.lines() {
+            assert!(line.chars().count() <= 100, "{name}: {line}");
+        }
+        let (_, examples) = page.split_once("\nExamples:\n").unwrap_or_else(|| panic!("{name}"));
+        let command = name.split('_').next().unwrap();
+        let start =
+            if name == "pvmap" { "  pvmap ".to_owned() } else { format!("  pvmap {command} ") };
+        assert!(examples.contains(&start) || examples.contains(&start[1..]), "{name}: {examples}");
+        assert!(page.contains("[default: auto]"), "{name}: defaults");
+    }
+    for command in ["ingest", "build", "query", "info", "verify", "export", "scene", "demo"] {
+        assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
+        // The short form and the long one are the same page.
+        let [short, long] = ["-h", "--help"].map(|h| bench.line(&format!("{command} {h}")).ok());
+        assert_eq!(short.stdout, long.stdout);
+    }
+    for (name, unit) in [
+        ("query_pair", "scan's units"),
+        ("export", "grid steps"),
+        ("scene", "metres"),
+        ("ingest", "MiB"),
+    ] {
+        let (_, line) = PAGES.into_iter().find(|p| p.0 == name).unwrap();
+        assert!(bench.line(line).ok().stdout.contains(unit), "{name}");
+    }
+    assert_eq!(
+        bench.line("--version").ok().stdout,
+        format!("pvmap {}\n", env!("CARGO_PKG_VERSION"))
+    );
+}
+
+#[test]
+fn info_is_as_it_was() {
+    let bench = room();
+    bench.line("build --config preview -o preview.vmap").ok();
+    for (name, line) in [
+        ("info_octree", "info room.octree"),
+        ("info_octree_json", "info room.octree --json"),
+        ("info_map", "info room.vmap"),
+        ("info_map_json", "info room.vmap --json"),
+        ("info_preview", "info preview.vmap"),
+    ] {
+        assert_snapshot(name, &bench.line(line).ok().stdout);
+    }
+}
