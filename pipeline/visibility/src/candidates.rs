@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use pvmap_geometry::Box3;
-use pvmap_geometry::shaft::{Doubled, Shaft};
+use pvmap_geometry::shaft::Shaft;
 use pvmap_vmap::Tree;
 
 use crate::bounds::Bounds;
@@ -61,19 +61,19 @@ impl Corridor {
     /// Proves that no surfel under a node blocks any segment.
     #[inline(always)]
     fn excludes(&self, node: &Occluder) -> bool {
-        let blockers = Doubled::new(&node.blockers);
-        self.shaft.misses(&blockers) || self.never_between(node, &blockers)
+        self.shaft.misses(&node.blockers) || self.never_between(node)
     }
 
     /// Proves that both ends lie on one side of every plane under a node. Every number is an
     /// integer below 2^44, so the f64 arithmetic is exact.
     #[inline(always)]
-    fn never_between(&self, node: &Occluder, blockers: &Doubled) -> bool {
+    fn never_between(&self, node: &Occluder) -> bool {
         let [a, b] = &self.ends;
         let ((low_a, high_a), (low_b, high_b)) = if node.normals.0 == node.normals.1 {
             (beside_plane(node, a), beside_plane(node, b))
         } else {
-            (beside_planes(node, blockers, a), beside_planes(node, blockers, b))
+            let blockers = Doubled::new(&node.blockers);
+            (beside_planes(node, &blockers, a), beside_planes(node, &blockers, b))
         };
         (low_a >= 0.0 && low_b >= 0.0) || (high_a <= 0.0 && high_b <= 0.0)
     }
@@ -111,6 +111,27 @@ fn along((least, greatest): ([i16; 3], [i16; 3]), v: &Doubled) -> (f64, f64) {
         half += n.abs() * v.size[i] + spread * (v.sum[i].abs() + v.size[i]);
     }
     (middle, half)
+}
+
+/// A box by the sum and the difference of its corners: twice its middle, twice its half sides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Doubled {
+    /// max + min, an axis each.
+    sum: [f64; 3],
+    /// max - min, an axis each.
+    size: [f64; 3],
+}
+
+impl Doubled {
+    /// Doubles a box. Its corners are below 2^24.
+    #[inline(always)]
+    fn new(b: &Box3) -> Doubled {
+        let (low, high) = (b.min, b.max);
+        Doubled {
+            sum: [(high[0] + low[0]).into(), (high[1] + low[1]).into(), (high[2] + low[2]).into()],
+            size: [(high[0] - low[0]).into(), (high[1] - low[1]).into(), (high[2] - low[2]).into()],
+        }
+    }
 }
 
 /// How far candidates are opened.

@@ -4,8 +4,8 @@
 //! recursion over node pairs ([`pairs`]: the paper's Algorithms 1 and 2 as corrected in [V-4] and
 //! [V-5]), spills the links as sorted runs and writes the map. What makes it fast are proofs about
 //! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders
-//! ([`candidates`]); what is left is decided leaf pair by leaf pair ([`kernel`]), exactly. The room
-//! never asks how the tree came about and never approximates.
+//! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`kernel`], [`lanes`]),
+//! exactly. The room never asks how the tree came about and never approximates.
 //!
 //! Start reading at [`build::build`], then [`pairs`].
 
@@ -15,6 +15,7 @@ pub mod candidates;
 pub mod error;
 pub mod interaction;
 pub mod kernel;
+pub mod lanes;
 pub mod pairs;
 pub mod tasks;
 

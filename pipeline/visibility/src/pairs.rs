@@ -13,7 +13,8 @@ use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{Corridor, Depth, Occluder, refine};
-use crate::kernel::{Blockers, Counts, Ends, Recent, Tile, WIDTH};
+use crate::kernel::{Blockers, Counts, Recent};
+use crate::lanes::{Ends, Tile, WIDTH};
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
