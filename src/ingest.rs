@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
-use pvmap_geometry::PointBatch;
 use pvmap_octree::OctreeError;
 use pvmap_octree::ingest::{
     ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation, PositionPlan,
-    SourcePlan,
+    SourcePlan, Turns,
 };
 use pvmap_scan::{
     ColorRange, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, ScanError, Source,
@@ -25,9 +25,8 @@ use crate::{Error, Limits};
 const BATCH_LEN: usize = 16_384;
 /// Parts a thread: enough that the threads end at about the same time.
 const PARTS_A_THREAD: u64 = 16;
-/// Places of a source at which sample points are read, and points read there.
-const SAMPLE_PLACES: u64 = 64;
-const SAMPLE_LEN: u64 = 512;
+/// Points of a source that choose the buckets: a hundred and more a bucket.
+const SAMPLE_POINTS: u64 = 1 << 15;
 
 /// Which scans to take in, and how.
 #[derive(Debug, Clone)]
@@ -90,7 +89,7 @@ fn run(request: &IngestRequest, limits: &Limits, watch: &dyn Watch) -> Result<In
         sources.iter().zip(&bounds).map(|(s, b)| plan(s, b.as_ref())).collect();
     let mut samples = Vec::new();
     for source in &sources {
-        sample(source, &mut samples)?;
+        samples.extend(source.sample(SAMPLE_POINTS)?);
     }
     let options = IngestOptions {
         output: request.output.clone(),
@@ -192,23 +191,6 @@ fn plan(source: &Source, bounds: Option<&StoredBounds>) -> SourcePlan {
     }
 }
 
-/// Reads a few points from all over a source.
-fn sample(source: &Source, samples: &mut Vec<PointBatch>) -> Result<(), Error> {
-    let parts = source.parts(SAMPLE_PLACES);
-    if parts.len() < 2 && source.info().n_points > SAMPLE_PLACES * SAMPLE_LEN {
-        // One long part: reading its start says nothing of the rest.
-        return Ok(());
-    }
-    for part in parts {
-        let end = part.end.min(part.start + SAMPLE_LEN);
-        source.read(part.start..end, SAMPLE_LEN as usize, |batch| {
-            samples.push(batch);
-            Ok::<_, ScanError>(())
-        })?;
-    }
-    Ok(())
-}
-
 /// Either side of the join can fail while a part is read.
 enum Failure {
     Scan(ScanError),
@@ -244,25 +226,23 @@ fn read_all(
         .enumerate()
         .flat_map(|(i, s)| s.parts(n_parts).into_iter().map(move |part| (i, part)))
         .collect();
-    let reports: Vec<(usize, ReadReport)> = parts
-        .into_par_iter()
-        .map(|(i, part)| {
-            let mut worker = job.worker();
-            let report = sources[i].read(part, BATCH_LEN, |batch| {
+    let joined = Mutex::new(vec![ReadReport::default(); sources.len()]);
+    Turns::run(parts.len(), |turns| {
+        let mut worker = job.worker();
+        while let Some(turn) = turns.take() {
+            let (i, part) = &parts[turn];
+            let report = sources[*i].read(part.clone(), BATCH_LEN, |batch| {
                 watch.check().map_err(|e| Failure::Octree(e.into()))?;
                 worker.push(&batch).map_err(Failure::Octree)?;
                 watch.advance(batch.len() as u64);
                 Ok::<_, Failure>(())
             })?;
-            worker.finish().map_err(Failure::Octree)?;
-            Ok((i, report))
-        })
-        .collect::<Result<_, Error>>()?;
-    let mut joined = vec![ReadReport::default(); sources.len()];
-    for (i, report) in reports {
-        joined[i] = joined[i].join(&report);
-    }
-    Ok(joined)
+            let mut joined = joined.lock().unwrap_or_else(PoisonError::into_inner);
+            joined[*i] = joined[*i].join(&report);
+        }
+        Ok::<_, Error>(worker.finish()?)
+    })?;
+    Ok(joined.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// `--normals file` promises the file's normals: without any it cannot be kept.

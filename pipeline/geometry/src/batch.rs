@@ -25,6 +25,49 @@ impl Positions {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    /// Finds the least and the greatest coordinate along each axis, as stored (lattice steps are
+    /// exact in f64); `None` without points.
+    pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
+        match self {
+            Positions::Lattice(v) => {
+                bounds(v).map(|(min, max)| (min.map(f64::from), max.map(f64::from)))
+            }
+            Positions::Single(v) => {
+                bounds(v).map(|(min, max)| (min.map(f64::from), max.map(f64::from)))
+            }
+            Positions::Double(v) => bounds(v),
+        }
+    }
+}
+
+/// Points looked at together: their twelve numbers are whole vectors.
+const BOUNDS_LANES: usize = 4;
+
+/// Finds the bounds of points of which none is NaN.
+fn bounds<T: PartialOrd + Copy>(points: &[[T; 3]]) -> Option<([T; 3], [T; 3])> {
+    let first = *points.first()?;
+    let (mut min, mut max) = ([first; BOUNDS_LANES], [first; BOUNDS_LANES]);
+    let grow = |min: &mut [T; 3], max: &mut [T; 3], x: &[T; 3]| {
+        for i in 0..3 {
+            min[i] = if x[i] < min[i] { x[i] } else { min[i] };
+            max[i] = if x[i] > max[i] { x[i] } else { max[i] };
+        }
+    };
+    let (groups, rest) = points.as_chunks::<BOUNDS_LANES>();
+    for group in groups {
+        for k in 0..BOUNDS_LANES {
+            grow(&mut min[k], &mut max[k], &group[k]);
+        }
+    }
+    for x in rest {
+        grow(&mut min[0], &mut max[0], x);
+    }
+    let (mut low, mut high) = (first, first);
+    for x in min.iter().chain(&max) {
+        grow(&mut low, &mut high, x);
+    }
+    Some((low, high))
 }
 
 /// Return strength, exactly as the source stores it.
@@ -69,5 +112,22 @@ impl PointBatch {
     /// Says whether the batch is empty.
     pub fn is_empty(&self) -> bool {
         self.records.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_of_any_number_of_points() {
+        assert_eq!(Positions::Single(Vec::new()).bounds(), None);
+        for n in 1..20 {
+            let points: Vec<[i32; 3]> = (0..n).map(|i| [i, -i * i, i32::MIN + i]).collect();
+            let end = f64::from(n - 1);
+            let low = f64::from(i32::MIN);
+            let expected = ([0.0, -end * end, low], [end, 0.0, low + end]);
+            assert_eq!(Positions::Lattice(points).bounds(), Some(expected));
+        }
     }
 }

@@ -13,12 +13,15 @@ pub const BIN_NONE: u8 = 6;
 ///
 /// Each component is n / |n| · 2^14 rounded half away from zero. In f64 the square of no f32
 /// overflows or vanishes, so lengths from 1e-38 to 1e38 count alike.
+#[inline]
 pub fn quantise(n: [f32; 3]) -> Option<Normal> {
-    if !is_direction(n) {
+    let [x, y, z] = [f64::from(n[0]), f64::from(n[1]), f64::from(n[2])];
+    let norm2 = x * x + y * y + z * z;
+    // For the same reason this is `is_direction`.
+    if !(norm2 > 0.0 && norm2 < f64::INFINITY) {
         return None;
     }
-    let [x, y, z] = n.map(f64::from);
-    let length = (x * x + y * y + z * z).sqrt();
+    let length = norm2.sqrt();
     let scaled = |v: f64| round_half_away(v / length * f64::from(NORMAL_LENGTH));
     Some([scaled(x), scaled(y), scaled(z)])
 }
@@ -129,7 +132,11 @@ mod tests {
     fn n29_a_broken_normal_is_no_normal() {
         for bad in [[0.0; 3], [f32::NAN, 1.0, 0.0], [0.0, f32::INFINITY, 0.0], [-0.0; 3]] {
             assert_eq!(quantise(bad), None);
+            assert!(!is_direction(bad));
         }
+        assert!(is_direction([0.0, f32::from_bits(1), 0.0]));
+        assert_eq!(quantise([0.0, f32::from_bits(1), 0.0]), Some([0, 1 << 14, 0]));
+        assert_eq!(quantise([f32::MAX; 3]), Some([9459; 3]));
     }
 
     #[test]

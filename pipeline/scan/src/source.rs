@@ -151,23 +151,10 @@ impl StoredBounds {
         }
     }
 
-    /// Gives the bounds grown to hold `p`.
-    #[inline(always)]
-    fn with(&self, p: [f64; 3]) -> StoredBounds {
-        StoredBounds {
-            min: [0, 1, 2].map(|i| if p[i] < self.min[i] { p[i] } else { self.min[i] }),
-            max: [0, 1, 2].map(|i| if p[i] > self.max[i] { p[i] } else { self.max[i] }),
-        }
-    }
-
     /// Gives the bounds of a batch's coordinates.
     fn of(positions: &Positions) -> StoredBounds {
-        let empty = StoredBounds::EMPTY;
-        match positions {
-            Positions::Lattice(v) => v.iter().fold(empty, |b, p| b.with(p.map(f64::from))),
-            Positions::Single(v) => v.iter().fold(empty, |b, p| b.with(p.map(f64::from))),
-            Positions::Double(v) => v.iter().fold(empty, |b, &p| b.with(p)),
-        }
+        let bounds = positions.bounds().map(|(min, max)| StoredBounds { min, max });
+        bounds.unwrap_or(StoredBounds::EMPTY)
     }
 }
 
@@ -246,10 +233,10 @@ impl Source {
         let mut start = vec![0; file.len_bytes().min(512) as usize];
         file.read_exact_at(&mut start, 0)?;
         let (content, info) = if start.starts_with(b"LASF") {
-            let (las, info) = LasFile::open(&file, options)?;
+            let (las, info) = blame_disk(&file, LasFile::open(&file, options))?;
             (Content::Las(las), info)
         } else if is_ply(&start) {
-            let (ply, info) = PlyFile::open(&file, options)?;
+            let (ply, info) = blame_disk(&file, PlyFile::open(&file, options))?;
             (Content::Ply(ply), info)
         } else {
             return Err(foreign(path, &start));
@@ -297,7 +284,7 @@ impl Source {
         let part = part.start.min(self.info.n_points)..part.end.min(self.info.n_points);
         let file = self.reopen()?;
         let mut report = ReadReport::default();
-        let mut reader = self.reader(&file, part.clone())?;
+        let mut reader = self.settle(&file, self.reader(&file, part.clone()))?;
         while let Some(batch) = self.settle(&file, reader.next(batch_len.max(1)))? {
             self.account(&batch, &mut report);
             if !batch.is_empty() {
@@ -309,6 +296,36 @@ impl Source {
         report.n_missing = n_wanted - report.n_read - report.n_dropped;
         self.check_unchanged(&file)?;
         Ok(report)
+    }
+
+    /// Reads some `n_points` points from all over the file, for guessing how they lie: a few at
+    /// every place where decoding is free, most places where that costs next to nothing. Points
+    /// that follow each other lie side by side, so many places tell more than many points.
+    ///
+    /// # Errors
+    /// As [`Source::read`].
+    pub fn sample(&self, n_points: u64) -> Result<Vec<PointBatch>, ScanError> {
+        let n_places = match &self.content {
+            // A chunk of a LAZ is read whole, however few of its points are wanted.
+            Content::Las(las) if las.is_compressed() => n_points / 128,
+            _ => n_points / 8,
+        };
+        let parts = self.parts(n_places.max(1));
+        if parts.len() < 2 && self.info.n_points > n_points {
+            // One long part: reading its start says nothing of the rest.
+            return Ok(Vec::new());
+        }
+        let file = self.reopen()?;
+        let n_each = n_points / (parts.len() as u64).max(1);
+        let mut batches = Vec::with_capacity(parts.len());
+        for part in parts {
+            let some = part.start..part.end.min(part.start + n_each);
+            let mut reader = self.settle(&file, self.reader(&file, some))?;
+            while let Some(batch) = self.settle(&file, reader.next(n_each as usize))? {
+                batches.push(batch);
+            }
+        }
+        Ok(batches)
     }
 
     /// Finds the exact bounds of a range of records, decoding only their coordinates where the
@@ -354,12 +371,12 @@ impl Source {
         Ok(file)
     }
 
-    /// Blames a failure on whoever changed the file, where somebody did.
+    /// Blames a failure on whoever changed the file, where somebody did, or on the disk.
     fn settle<T>(&self, file: &InputFile, result: Result<T, ScanError>) -> Result<T, ScanError> {
         if result.is_err() {
             self.check_unchanged(file)?;
         }
-        result
+        blame_disk(file, result)
     }
 
     fn check_unchanged(&self, file: &InputFile) -> Result<(), ScanError> {
@@ -378,7 +395,7 @@ impl Source {
             report.color_max = report.color_max.max(max);
         }
         if let Some(normals) = &batch.normal {
-            let is_missing = |n: &&[f32; 3]| **n == [0.0; 3] || n.iter().any(|v| !v.is_finite());
+            let is_missing = |n: &&[f32; 3]| !pvmap_geometry::normal::is_direction(**n);
             report.n_normals_missing += normals.iter().filter(is_missing).count() as u64;
         }
         if let (Some((min, max)), Positions::Lattice(places)) = (self.info.bounds, &batch.positions)
@@ -386,6 +403,13 @@ impl Source {
             // Bounds outside i32 hold nothing back on that side.
             let fit = |v: i64| v.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32;
             let (min, max) = (min.map(fit), max.map(fit));
+            let all = batch.positions.bounds();
+            let is_within = |(low, high): ([f64; 3], [f64; 3])| {
+                (0..3).all(|i| low[i] >= f64::from(min[i]) && high[i] <= f64::from(max[i]))
+            };
+            if all.is_none_or(is_within) {
+                return;
+            }
             let is_outside =
                 |p: &&[i32; 3]| (0..3).fold(false, |o, i| o | (p[i] < min[i]) | (p[i] > max[i]));
             report.n_outside_bounds += places.iter().filter(is_outside).count() as u64;
@@ -395,6 +419,14 @@ impl Source {
 
 /// Points decoded at a time where only their bounds are wanted.
 const BOUNDS_BATCH: usize = 1 << 14;
+
+/// Puts the disk in the place of what a decoder made of its failure, where it failed.
+fn blame_disk<T>(file: &InputFile, result: Result<T, ScanError>) -> Result<T, ScanError> {
+    match file.failure() {
+        Some(failure) if result.is_err() => Err(failure.into()),
+        _ => result,
+    }
+}
 
 /// Says whether a file begins like a PLY: the word alone on its line.
 fn is_ply(start: &[u8]) -> bool {

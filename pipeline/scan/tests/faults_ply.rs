@@ -124,6 +124,13 @@ fn f63_lists_of_impossible_length() {
         assert!(message.starts_with("line 9"), "{message}");
     }
     assert_eq!(report_of(&ply("ascii", &lines, b"1 2 3 2 7 7\n"), STRICT).unwrap().n_read, 1);
+    let before = format!("element face 1\nproperty list uchar int vertex_indices\n{}", xyz("1"));
+    for row in ["-1", "3 0 0", "1 0 0", "x"] {
+        let bytes = ply("ascii", &before, format!("{row}\n1 2 3\n").as_bytes());
+        let message = refusal_of(&bytes, STRICT);
+        assert!(message.starts_with("line 10"), "{row}: {message}");
+    }
+    assert_eq!(report_of(&ply("ascii", &before, b"2 0 0\n1 2 3\n"), STRICT).unwrap().n_read, 1);
 }
 
 #[test]

@@ -172,3 +172,22 @@ fn an_error_of_the_sink_passes_through() {
     std::fs::write(&path, b"other").unwrap();
     assert!(matches!(source.read(0..100, 10, |_| Err(Mine::Enough)), Err(Mine::Scan)));
 }
+
+#[test]
+fn a_sample_comes_from_all_over_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.las");
+    let offset = [500_000.0, 4_600_000.0, 0.0];
+    let options = LasOptions { compressed: false, scale: [0.001; 3], offset, normals: false };
+    let mut writer = LasWriter::create(&path, options).unwrap();
+    writer.write(&batch(0, 10_000)).unwrap();
+    writer.finish().unwrap();
+    let source = Source::open(&path, 0, STRICT).unwrap();
+    let records: Vec<u64> =
+        source.sample(800).unwrap().into_iter().flat_map(|batch| batch.records).collect();
+    let expected: Vec<u64> =
+        (0..100).flat_map(|place| (0..8).map(move |i| place * 100 + i)).collect();
+    assert_eq!(records, expected);
+    let all = source.sample(1 << 20).unwrap();
+    assert_eq!(all.iter().map(PointBatch::len).sum::<usize>(), 10_000);
+}

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::SystemTime;
 
 use crate::StoreError;
@@ -14,6 +15,8 @@ pub struct InputFile {
     file: File,
     path: PathBuf,
     identity: Identity,
+    /// The system's number of the first failure of the disk.
+    failure: OnceLock<i32>,
 }
 
 /// What tells a file from another, and from itself after a change.
@@ -45,7 +48,7 @@ impl InputFile {
             modified: meta.modified().ok(),
             inode: (meta.dev(), meta.ino()),
         };
-        Ok(InputFile { file, path: path.to_path_buf(), identity })
+        Ok(InputFile { file, path: path.to_path_buf(), identity, failure: OnceLock::new() })
     }
 
     /// Gives the name it was opened by.
@@ -75,9 +78,19 @@ impl InputFile {
     /// # Errors
     /// Where the file ends before or the disk fails.
     pub fn read_exact_at(&self, buf: &mut [u8], offset_bytes: u64) -> Result<(), StoreError> {
-        self.file
-            .read_exact_at(buf, offset_bytes)
-            .map_err(|e| StoreError::io(&self.path, "read", e))
+        self.file.read_exact_at(buf, offset_bytes).map_err(|e| {
+            if let Some(number) = e.raw_os_error() {
+                self.failure.get_or_init(|| number);
+            }
+            StoreError::io(&self.path, "read", e)
+        })
+    }
+
+    /// Gives the first failure of the disk that a read met. A decoder between this file and its
+    /// reader may have made bad data of it, or even an end of the file.
+    pub fn failure(&self) -> Option<StoreError> {
+        let number = *self.failure.get()?;
+        Some(StoreError::io(&self.path, "read", io::Error::from_raw_os_error(number)))
     }
 }
 
@@ -90,5 +103,23 @@ impl Read for InputFile {
 impl Seek for InputFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.file.seek(to)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_of_the_disk_is_remembered_and_an_end_is_none() {
+        let file = InputFile::open(Path::new("/proc/self/maps")).unwrap();
+        assert!(file.read_exact_at(&mut [0; 8], 1 << 40).is_err());
+        assert!(file.failure().is_none());
+        // The first page of a process is never there: reading it is an I/O error.
+        let Ok(file) = InputFile::open(Path::new("/proc/self/mem")) else {
+            return eprintln!("skipped: there is no /proc/self/mem");
+        };
+        assert!(file.read_exact_at(&mut [0; 8], 0).is_err());
+        assert!(matches!(file.failure(), Some(StoreError::Io { .. })));
     }
 }

@@ -4,6 +4,8 @@
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Mutex;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 
 use crc32fast::Hasher;
 
@@ -14,6 +16,8 @@ use crate::output::AtomicFile;
 pub const BLOCK_BYTES: usize = 65_536;
 /// Sections start at multiples of this.
 const ALIGN_BYTES: u64 = 64;
+/// From one sync of a file that is being written to the next: some hundred megabytes at the best.
+const SYNC_PAUSE: Duration = Duration::from_millis(100);
 
 /// Where a section went and the CRC-32 of each of its blocks.
 #[derive(Debug, Clone)]
@@ -94,6 +98,34 @@ impl SectionFile {
             block: Vec::with_capacity(BLOCK_BYTES),
             sums: Vec::new(),
         }
+    }
+
+    /// Runs a job that scatters parts, while a thread of its own makes durable what is written so
+    /// far: closing the file then has little left to wait for.
+    ///
+    /// # Errors
+    /// Those of the job, and where the disk fails.
+    pub fn sync_while<T, E: From<StoreError>>(
+        &self,
+        job: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, E> {
+        let (job_ended, ended) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let syncing = scope.spawn(move || {
+                // The channel closes when the job returns or panics.
+                while ended.recv_timeout(SYNC_PAUSE) == Err(RecvTimeoutError::Timeout) {
+                    // The system tells of a failure once: it must not get lost here.
+                    self.file.sync_written()?;
+                }
+                Ok(())
+            });
+            let result = job();
+            drop(job_ended);
+            let synced: Result<(), StoreError> = syncing.join().expect("syncing does not panic");
+            let value = result?;
+            synced?;
+            Ok(value)
+        })
     }
 
     /// Reads back bytes of a section that is finished while the file is not.

@@ -90,10 +90,21 @@ impl Spill {
     /// # Errors
     /// Where the disk fails.
     pub fn take(&self, bucket: usize, out: &mut Vec<u8>) -> Result<(), StoreError> {
-        self.drain(bucket, |bytes| {
-            out.extend_from_slice(bytes);
-            Ok(())
-        })
+        let taken = std::mem::take(&mut *self.lock(bucket));
+        for extent in taken.extents {
+            match extent {
+                Extent::Held(bytes) => {
+                    out.extend_from_slice(&bytes);
+                    self.held_bytes.fetch_sub(bytes.len() as u64, Ordering::Relaxed);
+                }
+                Extent::OnDisk { offset_bytes, len_bytes } => {
+                    let start = out.len();
+                    out.resize(start + len_bytes, 0);
+                    self.read(&mut out[start..], offset_bytes)?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Takes a bucket's extents one by one, releasing each.
@@ -139,12 +150,16 @@ impl Spill {
             Extent::Held(bytes) => Ok(bytes),
             Extent::OnDisk { offset_bytes, len_bytes } => {
                 buffer.resize(*len_bytes, 0);
-                self.file()?
-                    .read_exact_at(buffer, *offset_bytes)
-                    .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))?;
+                self.read(buffer, *offset_bytes)?;
                 Ok(buffer)
             }
         }
+    }
+
+    fn read(&self, buffer: &mut [u8], offset_bytes: u64) -> Result<(), StoreError> {
+        self.file()?
+            .read_exact_at(buffer, offset_bytes)
+            .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))
     }
 
     fn file(&self) -> Result<&File, StoreError> {

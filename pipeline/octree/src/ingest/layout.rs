@@ -1,10 +1,12 @@
 //! Where each column of a batch goes in a point record, and how positions become Morton keys.
 
-use pvmap_geometry::{Frame, GridPoint, Intensity, PointBatch, Positions, morton};
+use pvmap_geometry::block::BLOCK_POINTS;
+use pvmap_geometry::{Frame, GridBlock, Intensity, PointBatch, Positions};
 use pvmap_vmap::frame::CrsKind;
 use pvmap_vmap::octree::{ColumnType, Schema};
 use pvmap_vmap::records::Source;
 
+use super::records::SLACK_BYTES;
 use crate::OctreeError;
 
 /// How far from whole two offsets may be, in lattice steps, and still share a lattice: their
@@ -195,66 +197,52 @@ impl Layout {
 
     /// Gives the bounds of a batch, on the common lattice or in world units; `None` if it is empty.
     pub(crate) fn bounds_of(&self, batch: &PointBatch) -> Option<Bounds> {
-        let source = &self.sources[batch.source as usize];
-        match &batch.positions {
-            Positions::Lattice(v) => {
-                let first = *v.first()?;
-                let (min, max) = v.iter().fold((first, first), |(low, high), &x| {
-                    (pairwise(low, x, i32::min), pairwise(high, x, i32::max))
-                });
-                Some(self.place_lattice(source, min.map(i64::from), max.map(i64::from)))
+        let (min, max) = batch.positions.bounds()?;
+        Some(match batch.positions {
+            Positions::Lattice(_) => {
+                let source = &self.sources[batch.source as usize];
+                self.place_lattice(source, min.map(|v| v as i64), max.map(|v| v as i64))
             }
-            Positions::Single(v) => {
-                let first = *v.first()?;
-                let (min, max) = v.iter().fold((first, first), |(low, high), &x| {
-                    (pairwise(low, x, f32::min), pairwise(high, x, f32::max))
-                });
-                Some(Bounds::World(min.map(f64::from), max.map(f64::from)))
-            }
-            Positions::Double(v) => {
-                let first = *v.first()?;
-                let (min, max) = v.iter().fold((first, first), |(low, high), &x| {
-                    (pairwise(low, x, f64::min), pairwise(high, x, f64::max))
-                });
-                Some(Bounds::World(min, max))
-            }
-        }
+            _ => Bounds::World(min, max),
+        })
     }
 
     /// Computes the Morton code of every point of a batch, in a frame that may only be a guess.
     pub(crate) fn codes_of(&self, frame: &Frame, batch: &PointBatch, codes: &mut Vec<u64>) {
         codes.clear();
         let source = &self.sources[batch.source as usize];
-        let mut put = |g: GridPoint| codes.push(morton::encode(g));
         match (&batch.positions, frame) {
-            (Positions::Lattice(v), Frame::Lattice { .. }) => v.iter().for_each(|x| {
+            (Positions::Lattice(v), Frame::Lattice { .. }) => {
                 let [a, b, c] = source.shift;
-                put(frame.grid_of_lattice([
-                    i64::from(x[0]) + a,
-                    i64::from(x[1]) + b,
-                    i64::from(x[2]) + c,
-                ]));
-            }),
-            (Positions::Lattice(v), Frame::World { .. }) => v.iter().for_each(|x| {
-                put(frame.grid_of_world(world_of(source, *x)));
-            }),
-            (Positions::Single(v), _) => {
-                v.iter().for_each(|x| put(frame.grid_of_world(x.map(f64::from))));
+                let on_lattice =
+                    |x: [i32; 3]| [i64::from(x[0]) + a, i64::from(x[1]) + b, i64::from(x[2]) + c];
+                place(v, frame, codes, |block, i, x| block.set_lattice(i, frame, on_lattice(x)));
             }
-            (Positions::Double(v), _) => v.iter().for_each(|x| put(frame.grid_of_world(*x))),
+            (Positions::Lattice(v), Frame::World { .. }) => {
+                place(v, frame, codes, |block, i, x| {
+                    block.set_world(i, frame, world_of(source, x));
+                });
+            }
+            (Positions::Single(v), _) => {
+                place(v, frame, codes, |block, i, x| block.set_world(i, frame, x.map(f64::from)));
+            }
+            (Positions::Double(v), _) => {
+                place(v, frame, codes, |block, i, x| block.set_world(i, frame, x));
+            }
         }
     }
 
-    /// Packs a batch into records, one after another.
+    /// Packs a batch into records, one after another, and [`SLACK_BYTES`] behind them.
     ///
     /// # Errors
     /// Where a column has another type or length than its source promised.
     pub(crate) fn pack(&self, batch: &PointBatch, out: &mut Vec<u8>) -> Result<(), OctreeError> {
         let stride = self.schema.record_bytes();
-        out.clear();
-        out.resize(batch.len() * stride, 0);
+        let n_bytes = batch.len() * stride;
+        out.resize(n_bytes + SLACK_BYTES, 0);
+        let out = &mut out[..n_bytes];
         for column in self.schema.columns() {
-            let mut rows = Rows { out: out.as_mut_slice(), stride, at: column.offset };
+            let mut rows = Rows { out, stride, at: column.offset };
             let filled = match column.name {
                 "position" => self.pack_positions(column.kind, batch, &mut rows),
                 "record" if column.kind == ColumnType::U32 => {
@@ -272,7 +260,7 @@ impl Layout {
                     bytes
                 }),
                 "intensity" => match (&batch.intensity, column.kind) {
-                    (None, _) => true,
+                    (None, kind) => rows.fill_zero(kind.n_bytes()),
                     (Some(Intensity::U16(v)), ColumnType::U16) => rows.fill(v, |x| x.to_le_bytes()),
                     (Some(Intensity::U16(v)), _) => rows.fill(v, |&x| f32::from(x).to_le_bytes()),
                     (Some(Intensity::F32(v)), ColumnType::F32) => rows.fill(v, |x| x.to_le_bytes()),
@@ -324,6 +312,22 @@ impl Layout {
     }
 }
 
+/// Appends the Morton codes of points, a block at a time.
+#[inline(always)]
+fn place<T: Copy>(
+    points: &[T],
+    frame: &Frame,
+    codes: &mut Vec<u64>,
+    set: impl Fn(&mut GridBlock, usize, T),
+) {
+    let mut block = GridBlock::default();
+    for some in points.chunks(BLOCK_POINTS) {
+        some.iter().enumerate().for_each(|(i, &x)| set(&mut block, i, x));
+        block.place(frame);
+        codes.extend_from_slice(&block.codes()[..some.len()]);
+    }
+}
+
 /// One column of a buffer of records.
 struct Rows<'a> {
     out: &'a mut [u8],
@@ -342,23 +346,34 @@ impl Rows<'_> {
         self.out.len() == values.len() * self.stride
     }
 
-    /// Fills the column if the batch has it; otherwise it stays zero.
+    /// Fills the column if the batch has it, otherwise with zeroes.
     #[inline(always)]
     fn fill_some<T, const N: usize>(
         &mut self,
         values: Option<&[T]>,
         bytes: impl Fn(&T) -> [u8; N],
     ) -> bool {
-        values.is_none_or(|v| self.fill(v, bytes))
+        match values {
+            Some(values) => self.fill(values, bytes),
+            None => self.fill_zero(N),
+        }
+    }
+
+    fn fill_zero(&mut self, n_bytes: usize) -> bool {
+        let at = self.at;
+        self.out.chunks_exact_mut(self.stride).for_each(|row| row[at..at + n_bytes].fill(0));
+        true
     }
 }
 
+#[inline(always)]
 fn f32x3(x: &[f32; 3]) -> [u8; 12] {
     let mut bytes = [0; 12];
     bytes.chunks_exact_mut(4).zip(x).for_each(|(b, v)| b.copy_from_slice(&v.to_le_bytes()));
     bytes
 }
 
+#[inline(always)]
 fn f64x3(x: [f64; 3]) -> [u8; 24] {
     let mut bytes = [0; 24];
     bytes.chunks_exact_mut(8).zip(x).for_each(|(b, v)| b.copy_from_slice(&v.to_le_bytes()));
@@ -376,7 +391,8 @@ fn u64_at(bytes: &[u8], at: usize) -> u64 {
 /// The world position of a lattice point of a source: the two operations of the LAS standard.
 #[inline(always)]
 fn world_of(source: &Source, x: [i32; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| f64::from(x[i]) * source.scale[i] + source.offset[i])
+    let along = |i: usize| f64::from(x[i]) * source.scale[i] + source.offset[i];
+    [along(0), along(1), along(2)]
 }
 
 /// Gives each source's shift onto the lattice of the first, if all share one. [D-1]

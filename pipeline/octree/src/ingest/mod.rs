@@ -9,9 +9,12 @@
 //! Use: [`Ingest::new`], a [`Worker`] a thread that takes batches, [`Ingest::finish`].
 
 mod layout;
+mod order;
 mod orient;
 mod publish;
+mod records;
 mod sorter;
+mod turns;
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -28,6 +31,7 @@ pub use layout::{ColorPlan, PositionPlan, SourcePlan};
 pub use orient::Orientation;
 pub use sorter::Worker;
 use sorter::{Pass, Seen, Shares, Sorting, sample_keys};
+pub use turns::Turns;
 
 /// Where normals come from. Source: DESIGN.md [D-5].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

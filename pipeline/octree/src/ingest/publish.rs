@@ -2,9 +2,11 @@
 
 use std::ops::Range;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
+use pvmap_geometry::block::BLOCK_POINTS;
 use pvmap_geometry::normal::{Normal, quantise};
+use pvmap_geometry::{GridBlock, GridPoint};
 use pvmap_store::sections::{Scattered, Section};
 use pvmap_store::{SectionFile, StoreError};
 use pvmap_vmap::OctreeSummary;
@@ -18,7 +20,8 @@ use pvmap_vmap::records::Record;
 use pvmap_vmap::tree::RoutingKey;
 
 use super::orient::OrientInFrame;
-use super::sorter::{Pass, Sorting};
+use super::records::gather;
+use super::sorter::{Bucket, Pass, Receive, Sorting};
 use super::{IngestOptions, IngestReport, SourcePlan};
 use crate::OctreeError;
 use crate::normals::{self, Estimate, KnownPoint, Sign, SortedPoints, Wanted};
@@ -44,13 +47,27 @@ enum Rows {
     Estimated(Wanted),
 }
 
-/// Counts that need every point's normal.
-#[derive(Debug, Default)]
+/// Bytes gathered, checksummed and written at a time: a few blocks, within a level-2 cache.
+const PIECE_BYTES: usize = 256 << 10;
+
+/// Sums over the points that need every point's place and normal.
+#[derive(Debug, Clone, Copy, Default)]
 struct Tally {
-    digest: Mutex<u128>,
-    n_file: AtomicU64,
-    n_estimated: AtomicU64,
-    n_oriented: AtomicU64,
+    digest: u128,
+    n_file: u64,
+    n_estimated: u64,
+    n_oriented: u64,
+}
+
+/// The large sections while the sorted points go into them.
+struct Writing<'a> {
+    job: &'a Job<'a>,
+    file: &'a SectionFile,
+    points: &'a Scattered,
+    normals: &'a Scattered,
+    codes: Mutex<Vec<u64>>,
+    rows: Rows,
+    tally: Mutex<Tally>,
 }
 
 impl Job<'_> {
@@ -66,9 +83,7 @@ impl Job<'_> {
         let sources = file.whole(&sources)?;
         let names: Vec<u8> = self.plans.iter().flat_map(|p| p.name.clone()).collect();
         let names = file.whole(&names)?;
-        let tally = Tally::default();
-        let rows = self.rows();
-        let (points, normals, codes) = self.write_points(&mut file, pass, rows, &tally)?;
+        let (points, normals, codes, tally) = self.write_points(&mut file, pass, self.rows())?;
         let frame = *self.sorting.placement.frame();
         let crs = self.plans.iter().find_map(|p| p.crs.clone());
         let (crs_kind, crs) = crs.unwrap_or((CrsKind::None, Vec::new()));
@@ -123,68 +138,33 @@ impl Job<'_> {
         file: &mut SectionFile,
         pass: Pass,
         rows: Rows,
-        tally: &Tally,
-    ) -> Result<(Section, Section, Section), OctreeError> {
+    ) -> Result<(Section, Section, Section, Tally), OctreeError> {
         let stride = self.sorting.layout.schema.record_bytes() as u64;
         let points = file.scattered(self.n_points * stride);
         let rows_bytes = if rows == Rows::Absent { 0 } else { self.n_points * NORMAL_BYTES as u64 };
         let normals = file.scattered(rows_bytes);
-        let codes = Mutex::new(vec![0u64; self.n_points.div_ceil(CODE_STRIDE) as usize]);
         self.sorting.watch.stage("sort", Some(self.n_points), "points");
-        self.sorting.sort(&pass, 0, &|first, sorted_codes, records| {
-            file.scatter(&points, records, first * stride)?;
-            note_codes(&mut codes.lock().unwrap_or_else(|e| e.into_inner()), first, sorted_codes);
-            match rows {
-                Rows::Estimated(_) => {}
-                Rows::Absent => tally.add(self.keys(records, |_| PointNormal::default())),
-                Rows::FromRecords => {
-                    let rows = self.rows_of(records, tally);
-                    file.scatter(&normals, &rows, first * NORMAL_BYTES as u64)?;
-                }
-            }
-            Ok(())
-        })?;
+        let codes = vec![0u64; self.n_points.div_ceil(CODE_STRIDE) as usize];
+        let writing = Writing {
+            job: self,
+            file,
+            points: &points,
+            normals: &normals,
+            codes: Mutex::new(codes),
+            rows,
+            tally: Mutex::default(),
+        };
+        file.sync_while(|| self.sorting.sort(&pass, 0, &writing))?;
         drop(pass);
+        let Writing { codes, tally, .. } = writing;
+        let codes = codes.into_inner().unwrap_or_else(|e| e.into_inner());
+        let mut tally = tally.into_inner().unwrap_or_else(|e| e.into_inner());
         let points = points.finish();
         if let Rows::Estimated(wanted) = rows {
-            self.estimate(file, &points, &normals, wanted, tally)?;
+            tally = self.estimate(file, &points, &normals, wanted)?;
         }
-        let codes: Vec<u8> = codes
-            .into_inner()
-            .unwrap_or_else(|e| e.into_inner())
-            .into_iter()
-            .flat_map(u64::to_le_bytes)
-            .collect();
-        Ok((points, normals.finish(), file.whole(&codes)?))
-    }
-
-    /// Makes the normal rows of records whose source brings normals.
-    fn rows_of(&self, records: &[u8], tally: &Tally) -> Vec<u8> {
-        let n_points = records.len() / self.sorting.layout.schema.record_bytes();
-        let mut rows = Vec::with_capacity(n_points * NORMAL_BYTES);
-        let at = self.normal_at().expect("rows are made of records that have normals");
-        tally.add(self.keys(records, |record| {
-            let normal = Self::file_normal(record, at);
-            let known = normal.is_some();
-            let normal = normal.unwrap_or_default();
-            let row = PointNormal { normal, oriented: known, from_source: known };
-            rows.extend_from_slice(&row.to_bytes());
-            row
-        }));
-        rows
-    }
-
-    /// Walks records with the normals they get.
-    fn keys<'r>(
-        &'r self,
-        records: &'r [u8],
-        mut normal: impl FnMut(&[u8]) -> PointNormal + 'r,
-    ) -> impl Iterator<Item = (RoutingKey, PointNormal)> + 'r {
-        records.chunks_exact(self.sorting.layout.schema.record_bytes()).map(move |record| {
-            let g = self.sorting.placement.grid(record).expect("packed records name their source");
-            let row = normal(record);
-            (RoutingKey { g, normal: row.normal, oriented: row.oriented }, row)
-        })
+        let codes: Vec<u8> = codes.into_iter().flat_map(u64::to_le_bytes).collect();
+        Ok((points, normals.finish(), file.whole(&codes)?, tally))
     }
 
     /// Reads the normal that the source of a record brought, given where in the record it is.
@@ -204,25 +184,25 @@ impl Job<'_> {
         points: &Section,
         normals: &Scattered,
         wanted: Wanted,
-        tally: &Tally,
-    ) -> Result<(), OctreeError> {
+    ) -> Result<Tally, OctreeError> {
         let normal_at = self.normal_at().filter(|_| wanted == Wanted::Missing);
         let sorted = Sorted { job: self, file, points, normal_at };
         let side = self.options.orientation.in_frame(self.sorting.placement.frame());
         let budget = self.options.memory_bytes;
         let mut known = Vec::new();
         let mut rows = Vec::new();
+        let mut tally = Tally::default();
         normals::estimate(&sorted, wanted, budget, self.sorting.watch, |first, found| {
             sorted.read(first..first + found.len() as u64, &mut known)?;
             rows.clear();
-            tally.add(known.iter().zip(found).map(|(point, estimate)| {
+            for (point, estimate) in known.iter().zip(found) {
                 let row = finish_row(point, estimate, &side);
                 rows.extend_from_slice(&row.to_bytes());
-                (RoutingKey { g: point.g, normal: row.normal, oriented: row.oriented }, row)
-            }));
+                tally.add(point.g, &row);
+            }
             file.scatter(normals, &rows, first * NORMAL_BYTES as u64)
         })?;
-        Ok(())
+        Ok(tally)
     }
 
     fn summary(&self, tally: Tally) -> OctreeSummary {
@@ -232,10 +212,10 @@ impl Job<'_> {
             n_points: self.n_points,
             n_read: self.n_points + n_invalid,
             n_invalid,
-            n_normals_file: tally.n_file.into_inner(),
-            n_normals_estimated: tally.n_estimated.into_inner(),
-            n_oriented: tally.n_oriented.into_inner(),
-            digest: tally.digest.into_inner().unwrap_or_else(|e| e.into_inner()),
+            n_normals_file: tally.n_file,
+            n_normals_estimated: tally.n_estimated,
+            n_oriented: tally.n_oriented,
+            digest: tally.digest,
             normals: self.options.normals.code(),
             orientation: self.options.orientation.code(),
         }
@@ -255,30 +235,76 @@ fn finish_row(point: &KnownPoint, estimate: &Estimate, side: &OrientInFrame) -> 
     PointNormal { normal, oriented: oriented && normal != [0; 3], from_source: false }
 }
 
-impl Tally {
-    fn add(&self, points: impl Iterator<Item = (RoutingKey, PointNormal)>) {
-        let (mut digest, mut n_file, mut n_estimated, mut n_oriented) = (0u128, 0, 0, 0);
-        for (key, row) in points {
-            digest = digest.wrapping_add(digest_of(&key));
-            let has = row.normal != [0; 3];
-            n_file += u64::from(has && row.from_source);
-            n_estimated += u64::from(has && !row.from_source);
-            n_oriented += u64::from(has && row.oriented);
+impl Receive for Writing<'_> {
+    fn survey(&self, records: &[u8], codes: &mut Vec<u64>, rows: &mut Vec<[u8; NORMAL_BYTES]>) {
+        let Sorting { layout, placement, .. } = self.job.sorting;
+        let stride = layout.schema.record_bytes();
+        let normal_at = self.job.normal_at().filter(|_| self.rows == Rows::FromRecords);
+        let mut tally = Tally::default();
+        let mut block = GridBlock::default();
+        for some in records.chunks(BLOCK_POINTS * stride) {
+            let placed = placement.place(some, stride, &mut block);
+            placed.expect("packed records name their source");
+            codes.extend_from_slice(&block.codes()[..some.len() / stride]);
+            match (self.rows, normal_at) {
+                // Their normals come later, and the digest with them.
+                (Rows::Estimated(_), _) => {}
+                (_, Some(at)) => {
+                    for (i, record) in some.chunks_exact(stride).enumerate() {
+                        let normal = Job::file_normal(record, at);
+                        let known = normal.is_some();
+                        let normal = normal.unwrap_or_default();
+                        let row = PointNormal { normal, oriented: known, from_source: known };
+                        rows.push(row.to_bytes());
+                        tally.add(block.grid(i), &row);
+                    }
+                }
+                (_, None) => (0..some.len() / stride)
+                    .for_each(|i| tally.add(block.grid(i), &PointNormal::default())),
+            }
         }
-        let mut total = self.digest.lock().unwrap_or_else(|e| e.into_inner());
-        *total = total.wrapping_add(digest);
-        self.n_file.fetch_add(n_file, Ordering::Relaxed);
-        self.n_estimated.fetch_add(n_estimated, Ordering::Relaxed);
-        self.n_oriented.fetch_add(n_oriented, Ordering::Relaxed);
+        self.tally.lock().unwrap_or_else(|e| e.into_inner()).join(&tally);
+    }
+
+    fn write(&self, first: u64, bucket: &mut Bucket) -> Result<(), OctreeError> {
+        let Bucket { records, codes, rows, order, piece } = bucket;
+        let stride = self.job.sorting.layout.schema.record_bytes();
+        let n_piece = (PIECE_BYTES / stride).max(1);
+        for (indices, at) in order.chunks(n_piece).zip((first..).step_by(n_piece)) {
+            gather(records, indices, stride, piece);
+            self.file.scatter(self.points, piece, at * stride as u64)?;
+            if !rows.is_empty() {
+                piece.clear();
+                indices.iter().for_each(|&i| piece.extend_from_slice(&rows[i as usize]));
+                self.file.scatter(self.normals, piece, at * NORMAL_BYTES as u64)?;
+            }
+        }
+        let mut index = self.codes.lock().unwrap_or_else(|e| e.into_inner());
+        let mut at = first.next_multiple_of(CODE_STRIDE);
+        while let Some(&i) = order.get((at - first) as usize) {
+            index[(at / CODE_STRIDE) as usize] = codes[i as usize];
+            at += CODE_STRIDE;
+        }
+        Ok(())
     }
 }
 
-/// Notes the codes of every [`CODE_STRIDE`]th point.
-fn note_codes(index: &mut [u64], first: u64, codes: &[u64]) {
-    let mut at = first.next_multiple_of(CODE_STRIDE);
-    while at < first + codes.len() as u64 {
-        index[(at / CODE_STRIDE) as usize] = codes[(at - first) as usize];
-        at += CODE_STRIDE;
+impl Tally {
+    #[inline(always)]
+    fn add(&mut self, g: GridPoint, row: &PointNormal) {
+        let key = RoutingKey { g, normal: row.normal, oriented: row.oriented };
+        self.digest = self.digest.wrapping_add(digest_of(&key));
+        let has = row.normal != [0; 3];
+        self.n_file += u64::from(has && row.from_source);
+        self.n_estimated += u64::from(has && !row.from_source);
+        self.n_oriented += u64::from(has && row.oriented);
+    }
+
+    fn join(&mut self, other: &Tally) {
+        self.digest = self.digest.wrapping_add(other.digest);
+        self.n_file += other.n_file;
+        self.n_estimated += other.n_estimated;
+        self.n_oriented += other.n_oriented;
     }
 }
 

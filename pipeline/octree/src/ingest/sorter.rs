@@ -4,15 +4,19 @@
 //! so the order of the output depends on nothing else, and a bucket of coincident points can be
 //! split like any other.
 
+use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use pvmap_geometry::{Frame, PointBatch, morton};
+use pvmap_geometry::block::BLOCK_POINTS;
+use pvmap_geometry::{Frame, GridBlock, PointBatch, morton};
 use pvmap_store::{Spill, StoreError, Watch};
-use pvmap_vmap::octree::Placement;
-use rayon::prelude::*;
+use pvmap_vmap::octree::{NORMAL_BYTES, Placement};
 
 use super::layout::{Bounds, Layout};
+use super::order::order;
+use super::records::{SLACK_BYTES, copy_record, in_steps};
+use super::turns::Turns;
 use crate::OctreeError;
 
 /// A Morton code above an ordinal.
@@ -21,7 +25,7 @@ type Key = u128;
 /// Most buckets of one pass; more would make the buffers of the workers too small.
 const MAX_BUCKETS: u64 = 1024;
 /// No bucket need be larger: it should sort within the cache of a core, more or less.
-const GOOD_BUCKET_BYTES: u64 = 8 << 20;
+const GOOD_BUCKET_BYTES: u64 = 4 << 20;
 /// Sorting a bucket holds its records, a 16-byte entry each, and the records in order.
 const SORT_FACTOR: f64 = 3.0;
 /// Keys that choose the splitters of a bucket that is split again.
@@ -60,6 +64,8 @@ impl Shares {
 #[derive(Debug)]
 pub(crate) struct Pass {
     splitters: Vec<Key>,
+    /// The codes of the splitters.
+    codes: Vec<u64>,
     spill: Spill,
     buffer_bytes: usize,
 }
@@ -81,7 +87,8 @@ impl Pass {
         let n_buffers = (splitters.len() as u64 + 1) * shares.n_threads;
         let buffer_bytes = (shares.buffer_bytes / n_buffers).clamp(1 << 10, 256 << 10) as usize;
         let spill = Spill::new(folder, splitters.len() + 1, hold_bytes);
-        Pass { splitters, spill, buffer_bytes }
+        let codes = splitters.iter().map(|&s| code_of(s)).collect();
+        Pass { splitters, codes, spill, buffer_bytes }
     }
 
     /// Makes one bucket without order, for records whose keys cannot be known yet.
@@ -89,7 +96,7 @@ impl Pass {
         let spill = Spill::new(folder, 1, shares.hold_bytes);
         let buffer_bytes =
             (shares.buffer_bytes / shares.n_threads).clamp(1 << 10, 256 << 10) as usize;
-        Pass { splitters: Vec::new(), spill, buffer_bytes }
+        Pass { splitters: Vec::new(), codes: Vec::new(), spill, buffer_bytes }
     }
 
     pub(crate) fn spilled_bytes(&self) -> u64 {
@@ -97,7 +104,10 @@ impl Pass {
     }
 
     fn buffers(&self) -> Buffers<'_> {
-        Buffers { pass: self, buffers: vec![Vec::new(); self.splitters.len() + 1], last: 0 }
+        // Zeroes of the system: a buffer that is never used takes no memory.
+        let buffer = |_| Buffer { bytes: vec![0; self.buffer_bytes + SLACK_BYTES], n_bytes: 0 };
+        let buffers = (0..=self.splitters.len()).map(buffer).collect();
+        Buffers { pass: self, buffers, last: 0, last_codes: 0..0 }
     }
 }
 
@@ -105,32 +115,74 @@ impl Pass {
 #[derive(Debug)]
 struct Buffers<'a> {
     pass: &'a Pass,
-    buffers: Vec<Vec<u8>>,
-    /// The bucket of the record before: scans are coherent, so it is tried first.
+    buffers: Vec<Buffer>,
+    /// The bucket of the record before, and the codes that lie in it whatever the ordinal: scans
+    /// are coherent, so it is tried first.
     last: usize,
+    last_codes: Range<u64>,
+}
+
+/// Records on their way to a bucket.
+#[derive(Debug)]
+struct Buffer {
+    bytes: Vec<u8>,
+    n_bytes: usize,
 }
 
 impl Buffers<'_> {
-    #[inline]
-    fn put(&mut self, key: Key, record: &[u8]) -> Result<(), StoreError> {
-        let splitters = &self.pass.splitters;
-        let above = self.last == 0 || splitters[self.last - 1] <= key;
-        let below = self.last == splitters.len() || key < splitters[self.last];
-        if !(above && below) {
-            self.last = splitters.partition_point(|&s| s <= key);
+    /// Puts records, which have [`SLACK_BYTES`] behind them, into their buckets. `key` gives the
+    /// key of record `i`.
+    fn put_all(
+        &mut self,
+        records: &[u8],
+        record_bytes: usize,
+        key: impl Fn(usize) -> Key,
+    ) -> Result<(), StoreError> {
+        in_steps!(record_bytes, self.put_steps::<N>(records, record_bytes, key))
+    }
+
+    fn put_steps<const N: usize>(
+        &mut self,
+        records: &[u8],
+        record_bytes: usize,
+        key: impl Fn(usize) -> Key,
+    ) -> Result<(), StoreError> {
+        let n_records = (records.len() - SLACK_BYTES) / record_bytes;
+        for (i, at) in (0..n_records).zip((0..).step_by(record_bytes)) {
+            let key = key(i);
+            if !self.last_codes.contains(&code_of(key)) {
+                self.find(key);
+            }
+            let buffer = &mut self.buffers[self.last];
+            if buffer.n_bytes + record_bytes > self.pass.buffer_bytes {
+                self.pass.spill.append(self.last, &buffer.bytes[..buffer.n_bytes])?;
+                buffer.n_bytes = 0;
+            }
+            let to = &mut buffer.bytes[buffer.n_bytes..];
+            copy_record::<N>(&records[at..], to, record_bytes);
+            buffer.n_bytes += record_bytes;
         }
-        let buffer = &mut self.buffers[self.last];
-        if buffer.len() + record.len() > self.pass.buffer_bytes {
-            self.pass.spill.append(self.last, buffer)?;
-            buffer.clear();
-        }
-        buffer.extend_from_slice(record);
         Ok(())
     }
 
+    /// Finds the bucket of a key. Its code decides unless a splitter has the same: comparing those
+    /// alone needs no branch.
+    #[inline(always)]
+    fn find(&mut self, key: Key) {
+        let Pass { splitters, codes, .. } = self.pass;
+        let code = code_of(key);
+        self.last = codes.partition_point(|&c| c < code);
+        while splitters.get(self.last).is_some_and(|&s| s <= key) {
+            self.last += 1;
+        }
+        // The codes of the splitters themselves are shared with the neighbour.
+        let first = self.last.checked_sub(1).map_or(0, |i| codes[i] + 1);
+        self.last_codes = first..codes.get(self.last).copied().unwrap_or(u64::MAX);
+    }
+
     fn finish(self) -> Result<(), StoreError> {
-        let full = self.buffers.iter().enumerate().filter(|(_, b)| !b.is_empty());
-        full.into_iter().try_for_each(|(i, b)| self.pass.spill.append(i, b))
+        let full = self.buffers.iter().enumerate().filter(|(_, b)| b.n_bytes > 0);
+        full.into_iter().try_for_each(|(i, b)| self.pass.spill.append(i, &b.bytes[..b.n_bytes]))
     }
 }
 
@@ -239,16 +291,17 @@ impl<'a> Worker<'a> {
         }
         self.layout.pack(batch, &mut self.packed)?;
         self.look_at(batch);
-        let records = self.packed.chunks_exact(self.layout.schema.record_bytes());
-        let Some(frame) = &self.frame else {
-            return Ok(records.into_iter().try_for_each(|r| self.buffers.put(0, r))?);
-        };
-        self.layout.codes_of(frame, batch, &mut self.codes);
-        let source = u64::from(batch.source) << 40;
-        for ((record, &code), &number) in records.zip(&self.codes).zip(&batch.records) {
-            self.buffers.put(key(code, source | number), record)?;
+        match &self.frame {
+            Some(frame) => self.layout.codes_of(frame, batch, &mut self.codes),
+            None => {
+                self.codes.clear();
+                self.codes.resize(batch.len(), 0);
+            }
         }
-        Ok(())
+        let source = u64::from(batch.source) << 40;
+        let record_bytes = self.layout.schema.record_bytes();
+        let key = |i: usize| key(self.codes[i], source | batch.records[i]);
+        Ok(self.buffers.put_all(&self.packed, record_bytes, key)?)
     }
 
     fn look_at(&mut self, batch: &PointBatch) {
@@ -259,14 +312,15 @@ impl<'a> Worker<'a> {
         };
         let source = &mut self.seen.sources[batch.source as usize];
         source.n_points += batch.len() as u64;
-        for &[r, g, b] in batch.color.iter().flatten() {
-            source.color_max = source.color_max.max(r.max(g).max(b));
-        }
+        let colors = batch.color.iter().flat_map(|c| c.as_flattened());
+        source.color_max = colors.fold(source.color_max, |max, &c| max.max(c));
         for &n in batch.normal.iter().flatten() {
             source.n_normals += u64::from(pvmap_geometry::normal::is_direction(n));
         }
         // A thousandth of the points is plenty; every 61st keeps the stride off a scanner's rows.
-        for record in self.packed.chunks_exact(self.layout.schema.record_bytes()).step_by(61) {
+        let record_bytes = self.layout.schema.record_bytes();
+        let records = &self.packed[..batch.len() * record_bytes];
+        for record in records.chunks_exact(record_bytes).step_by(61) {
             self.seen.sample.offer(record);
         }
     }
@@ -287,6 +341,11 @@ fn key(code: u64, ordinal: u64) -> Key {
     u128::from(code) << 64 | u128::from(ordinal)
 }
 
+#[inline(always)]
+fn code_of(key: Key) -> u64 {
+    (key >> 64) as u64
+}
+
 /// Sorts buckets and hands their records over in order.
 pub(crate) struct Sorting<'a> {
     pub(crate) layout: &'a Layout,
@@ -298,17 +357,34 @@ pub(crate) struct Sorting<'a> {
     pub(crate) spilled: AtomicU64,
 }
 
-/// Gets the sorted records: the index of the first, their codes, their bytes.
-pub(crate) type Emit<'a> = &'a (dyn Fn(u64, &[u64], &[u8]) -> Result<(), OctreeError> + Sync);
+/// Whom records are sorted for. Several threads call it, with buckets in any order.
+pub(crate) trait Receive: Sync {
+    /// Meets the records of a bucket before they are sorted: appends the Morton code of each to
+    /// `codes` and, where there are to be normal rows, its row to `rows`.
+    fn survey(&self, records: &[u8], codes: &mut Vec<u64>, rows: &mut Vec<[u8; NORMAL_BYTES]>);
+
+    /// Gets a sorted bucket, the first point of which is number `first` of all.
+    fn write(&self, first: u64, bucket: &mut Bucket) -> Result<(), OctreeError>;
+}
+
+/// One bucket being sorted. Threads keep it from bucket to bucket: fresh memory is slow.
+#[derive(Debug, Default)]
+pub(crate) struct Bucket {
+    /// The records as they came, and [`SLACK_BYTES`] behind them.
+    pub(crate) records: Vec<u8>,
+    /// The Morton code and the normal row of each record.
+    pub(crate) codes: Vec<u64>,
+    pub(crate) rows: Vec<[u8; NORMAL_BYTES]>,
+    /// The indices of the records in the order of their keys.
+    pub(crate) order: Vec<u64>,
+    /// Room to put a piece of the output in.
+    pub(crate) piece: Vec<u8>,
+}
 
 impl Sorting<'_> {
     fn key_of(&self, record: &[u8]) -> Key {
-        key(self.code_of(record), self.layout.ordinal(record))
-    }
-
-    fn code_of(&self, record: &[u8]) -> u64 {
-        let g = self.placement.grid(record);
-        morton::encode(g.expect("packed records name their source"))
+        let g = self.placement.grid(record).expect("packed records name their source");
+        key(morton::encode(g), self.layout.ordinal(record))
     }
 
     /// Distributes all records of a pass anew, by keys in the final frame.
@@ -320,10 +396,12 @@ impl Sorting<'_> {
         // The first pass holds up to its share until it is drained; the second starts on disk.
         let hold_bytes = self.shares.hold_bytes.saturating_sub(total.min(self.shares.hold_bytes));
         let next = Pass::new(self.folder, &mut sample, total, hold_bytes, &self.shares);
-        (0..n).into_par_iter().try_for_each(|bucket| {
-            let n_records = pass.spill.bucket_bytes(bucket) / stride as u64;
-            self.redistribute(pass, bucket, &next)?;
-            self.watch.advance(n_records);
+        Turns::run(n, |turns| {
+            while let Some(bucket) = turns.take() {
+                let n_records = pass.spill.bucket_bytes(bucket) / stride as u64;
+                self.redistribute(pass, bucket, &next)?;
+                self.watch.advance(n_records);
+            }
             Ok::<_, OctreeError>(())
         })?;
         Ok(next)
@@ -332,18 +410,32 @@ impl Sorting<'_> {
     fn redistribute(&self, from: &Pass, bucket: usize, to: &Pass) -> Result<(), OctreeError> {
         let mut buffers = to.buffers();
         let stride = self.layout.schema.record_bytes();
+        let mut block = GridBlock::default();
+        let (mut records, mut codes) = (Vec::new(), Vec::new());
         from.spill.drain(bucket, |bytes| {
             self.watch.check()?;
-            for record in bytes.chunks_exact(stride) {
-                buffers.put(self.key_of(record), record)?;
+            codes.clear();
+            for some in bytes.chunks(BLOCK_POINTS * stride) {
+                let placed = self.placement.place(some, stride, &mut block);
+                placed.expect("packed records name their source");
+                codes.extend_from_slice(&block.codes()[..some.len() / stride]);
             }
-            Ok::<_, OctreeError>(())
+            records.clear();
+            records.extend_from_slice(bytes);
+            records.resize(bytes.len() + SLACK_BYTES, 0);
+            let key = |i: usize| key(codes[i], self.layout.ordinal(&bytes[i * stride..]));
+            Ok::<_, OctreeError>(buffers.put_all(&records, stride, key)?)
         })?;
         Ok(buffers.finish()?)
     }
 
-    /// Sorts every bucket of a pass; `emit` may be called from several threads, in any order.
-    pub(crate) fn sort(&self, pass: &Pass, first: u64, emit: Emit<'_>) -> Result<(), OctreeError> {
+    /// Sorts every bucket of a pass.
+    pub(crate) fn sort(
+        &self,
+        pass: &Pass,
+        first: u64,
+        to: &dyn Receive,
+    ) -> Result<(), OctreeError> {
         let stride = self.layout.schema.record_bytes() as u64;
         let mut starts = vec![first];
         for bucket in 0..pass.spill.n_buckets() {
@@ -358,12 +450,16 @@ impl Sorting<'_> {
             let n_bytes = pass.spill.bucket_bytes(bucket);
             let parts = Pass::new(self.folder, &mut sample, n_bytes, 0, &self.shares);
             self.redistribute(pass, bucket, &parts)?;
-            self.sort(&parts, starts[bucket], emit)?;
+            self.sort(&parts, starts[bucket], to)?;
             self.spilled.fetch_add(parts.spilled_bytes(), Ordering::Relaxed);
         }
-        fit.into_par_iter().try_for_each_init(Scratch::default, |scratch, bucket| {
-            self.watch.check()?;
-            self.sort_bucket(pass, bucket, starts[bucket], scratch, emit)
+        Turns::run(fit.len(), |turns| {
+            let mut scratch = Bucket::default();
+            while let Some(turn) = turns.take() {
+                self.watch.check()?;
+                self.sort_bucket(pass, fit[turn], starts[fit[turn]], &mut scratch, to)?;
+            }
+            Ok(())
         })
     }
 
@@ -389,45 +485,26 @@ impl Sorting<'_> {
     fn sort_bucket(
         &self,
         pass: &Pass,
-        bucket: usize,
+        number: usize,
         first: u64,
-        scratch: &mut Scratch,
-        emit: Emit<'_>,
+        bucket: &mut Bucket,
+        to: &dyn Receive,
     ) -> Result<(), OctreeError> {
         let stride = self.layout.schema.record_bytes();
-        let Scratch { records, entries, sorted, codes } = scratch;
-        records.clear();
-        records.reserve_exact(pass.spill.bucket_bytes(bucket) as usize);
-        pass.spill.take(bucket, records)?;
-        entries.clear();
-        entries.extend(
-            records.chunks_exact(stride).zip(0u32..).map(|(record, i)| (self.code_of(record), i)),
-        );
-        entries.sort_unstable_by_key(|e| e.0);
-        let ordinal = |i: u32| self.layout.ordinal(&records[i as usize * stride..][..stride]);
-        for equal in entries.chunk_by_mut(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
-            equal.sort_unstable_by_key(|e| ordinal(e.1));
-        }
-        sorted.clear();
-        sorted.reserve_exact(records.len());
-        for &(_, i) in entries.iter() {
-            sorted.extend_from_slice(&records[i as usize * stride..][..stride]);
-        }
-        codes.clear();
-        codes.extend(entries.iter().map(|e| e.0));
-        emit(first, codes, sorted)?;
-        self.watch.advance(entries.len() as u64);
+        let n_bytes = pass.spill.bucket_bytes(number) as usize;
+        bucket.records.clear();
+        bucket.records.reserve_exact(n_bytes + SLACK_BYTES);
+        pass.spill.take(number, &mut bucket.records)?;
+        bucket.codes.clear();
+        bucket.rows.clear();
+        to.survey(&bucket.records, &mut bucket.codes, &mut bucket.rows);
+        bucket.records.resize(n_bytes + SLACK_BYTES, 0);
+        let ordinal = |i: usize| self.layout.ordinal(&bucket.records[i * stride..]);
+        order(&bucket.codes, ordinal, &mut bucket.order);
+        to.write(first, bucket)?;
+        self.watch.advance((n_bytes / stride) as u64);
         Ok(())
     }
-}
-
-/// What sorting a bucket needs, kept from bucket to bucket.
-#[derive(Debug, Default)]
-struct Scratch {
-    records: Vec<u8>,
-    entries: Vec<(u64, u32)>,
-    sorted: Vec<u8>,
-    codes: Vec<u64>,
 }
 
 /// Gives the sampled keys of a batch in a frame.

@@ -336,7 +336,8 @@ impl PartReader for LazReader<'_> {
             match self.decode_block(batch_end) {
                 Ok(()) => self.layout.append(&self.raw, first, &mut batch),
                 Err((n_good, problem)) => {
-                    if !self.is_lenient {
+                    // A lenient read takes what a cut file has, not what a broken disk gives.
+                    if !self.is_lenient || self.file.failure().is_some() {
                         return Err(ScanError::record(self.path(), first + n_good, problem));
                     }
                     self.raw.truncate(n_good as usize * self.layout.record_bytes);

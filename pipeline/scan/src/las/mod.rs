@@ -82,6 +82,11 @@ impl LasFile {
         Ok((LasFile { points_offset: header.points_offset, layout, laz }, info))
     }
 
+    /// Says whether the records are stored in chunks that are decoded from their start.
+    pub(crate) fn is_compressed(&self) -> bool {
+        self.laz.is_some()
+    }
+
     /// Gives the record nearest to `record` at which decoding can start for free.
     pub(crate) fn cut_near(&self, record: u64) -> u64 {
         self.laz.as_ref().map_or(record, |laz| laz.cut_near(record))

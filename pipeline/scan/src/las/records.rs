@@ -101,8 +101,9 @@ impl RecordLayout {
         if let (Some(at), Some(colors)) = (self.color_at, &mut batch.color) {
             colors.extend(rows().map(|r| [u16_at(r, at), u16_at(r, at + 2), u16_at(r, at + 4)]));
         }
-        if let (Some(fields), Some(normals)) = (&self.normal, &mut batch.normal) {
-            normals.extend(rows().map(|r| [0, 1, 2].map(|i| fields[i].value(r))));
+        // Written out: the compiler does not inline a closure over an array.
+        if let (Some([x, y, z]), Some(normals)) = (&self.normal, &mut batch.normal) {
+            normals.extend(rows().map(|r| [x.value(r), y.value(r), z.value(r)]));
         }
     }
 }

@@ -116,8 +116,8 @@ fn find_vertices(
         check_room(file, header, element, place.0)?;
         if header.encoding == Encoding::Ascii {
             let mut rows = TextRows::new(file, header, place);
-            for _ in 0..element.count {
-                rows.advance(&format!("a row of {}", element.name))?;
+            for i in 0..element.count {
+                rows.skip(element, i)?;
             }
             place = rows.place();
         } else if let Some(n) = element.row_bytes() {
@@ -220,7 +220,9 @@ impl PartReader for VertexReader<'_> {
             let k = self.block().min(batch_end - first);
             match self.fill(k) {
                 Ok(()) => {}
+                // A lenient read takes what a cut file has, not what a broken disk gives.
                 Err(e) if !self.options.lenient || e.kind() != ErrorKind::BadData => return Err(e),
+                Err(e) if self.file.failure().is_some() => return Err(e),
                 Err(_) => self.end = first,
             }
             self.keep_finite(first, &mut batch)?;

@@ -134,28 +134,38 @@ impl<'a> TextRows<'a> {
         self.advance(&format!("vertex {} of {}", record + 1, vertex.count))?;
         let start = packed.len();
         packed.resize(start + layout.row_bytes, 0);
-        parse_row(&self.line, vertex, layout, &mut packed[start..]).map_err(|problem| {
+        let row = &mut packed[start..];
+        parse_row(&self.line, vertex, |i| layout.wanted[i], row).map_err(|problem| {
             packed.truncate(start);
             ScanError::line(self.file.path(), self.number, problem)
         })
     }
+
+    /// Steps over row `record` of an element of which nothing is wanted, but that its lists and
+    /// columns are what the header says (F63).
+    pub(crate) fn skip(&mut self, element: &Element, record: u64) -> Result<(), ScanError> {
+        self.advance(&format!("{} {} of {}", element.name, record + 1, element.count))?;
+        parse_row(&self.line, element, |_| None, &mut [])
+            .map_err(|problem| ScanError::line(self.file.path(), self.number, problem))
+    }
 }
 
-/// Parses the wanted numbers of a row of text into a packed row.
+/// Parses the wanted numbers of a row of text into a packed row: `wanted` says for each property
+/// where its number goes.
 fn parse_row(
     line: &[u8],
-    vertex: &Element,
-    layout: &VertexLayout,
+    element: &Element,
+    wanted: impl Fn(usize) -> Option<usize>,
     packed: &mut [u8],
 ) -> Result<(), String> {
-    let n_expected = vertex.properties.len();
+    let n_expected = element.properties.len();
     let mut words = line.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
-    for (i, (p, wanted)) in vertex.properties.iter().zip(&layout.wanted).enumerate() {
+    for (i, p) in element.properties.iter().enumerate() {
         let too_few = || format!("{i} columns, expected {n_expected} ({} is missing)", p.name);
         let word = words.next().ok_or_else(too_few)?;
-        match (p.kind, wanted) {
+        match (p.kind, wanted(i)) {
             (PropertyKind::Scalar(kind), Some(at)) => {
-                parse_number(word, kind, &mut packed[*at..]).ok_or_else(|| {
+                parse_number(word, kind, &mut packed[at..]).ok_or_else(|| {
                     format!("{} is \"{}\", expected a number", p.name, escaped(word, 40))
                 })?;
             }

@@ -146,22 +146,24 @@ impl VertexLayout {
     pub(crate) fn append(&self, packed: &[u8], batch: &mut PointBatch) {
         let rows = || packed.chunks_exact(self.row_bytes);
         match &mut batch.positions {
-            Positions::Single(v) => v.extend(rows().map(|r| self.position.map(|f| f.single(r)))),
-            Positions::Double(v) => v.extend(rows().map(|r| self.position.map(|f| f.real(r)))),
+            Positions::Single(v) => {
+                v.extend(rows().map(|r| three(&self.position, r, Field::single)))
+            }
+            Positions::Double(v) => v.extend(rows().map(|r| three(&self.position, r, Field::real))),
             Positions::Lattice(_) => {}
         }
         if let (Some(fields), Some(normals)) = (self.normal, &mut batch.normal) {
             if fields.iter().all(|f| f.kind == Scalar::F32) {
-                normals.extend(rows().map(|r| fields.map(|f| f.single(r))));
+                normals.extend(rows().map(|r| three(&fields, r, Field::single)));
             } else {
-                normals.extend(rows().map(|r| fields.map(|f| f.real(r) as f32)));
+                normals.extend(rows().map(|r| three(&fields, r, |f, r| f.real(r) as f32)));
             }
         }
         if let (Some(fields), Some(colors)) = (self.color, &mut batch.color) {
             if fields.iter().all(|f| f.kind == Scalar::U8) {
-                colors.extend(rows().map(|r| fields.map(|f| u16::from(r[f.at]))));
+                colors.extend(rows().map(|r| three(&fields, r, |f, r| u16::from(r[f.at]))));
             } else {
-                colors.extend(rows().map(|r| fields.map(|f| f.brightness(r))));
+                colors.extend(rows().map(|r| three(&fields, r, Field::brightness)));
             }
         }
         match (self.intensity, &mut batch.intensity) {
@@ -180,6 +182,12 @@ impl VertexLayout {
 
 fn triple(a: Option<Field>, b: Option<Field>, c: Option<Field>) -> Option<[Field; 3]> {
     Some([a?, b?, c?])
+}
+
+/// Reads three numbers of a row. Written out: the compiler does not inline a closure over an array.
+#[inline(always)]
+fn three<T>(fields: &[Field; 3], row: &[u8], read: impl Fn(&Field, &[u8]) -> T) -> [T; 3] {
+    [read(&fields[0], row), read(&fields[1], row), read(&fields[2], row)]
 }
 
 impl Field {
