@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use pvmap_octree::cut::{CutOptions, cut};
+use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
 use pvmap_vmap::octree::FILE_NAME;
@@ -77,7 +77,10 @@ fn run(
         shape: config.tree,
         profile: config.profile,
     };
-    let tree = cut(view, &cut_options, memory_bytes / 2, watch)?;
+    // The tree gets most: at worst 2.5 times its size, and what comes after needs 3.5 times.
+    let points_bytes = memory_bytes / 16 * 5;
+    let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };
+    let tree = cut(view, &cut_options, cut_memory, watch)?;
     let options = BuildOptions {
         max_level: config.max_level,
         leaf_capacity: config.leaf_capacity,

@@ -92,7 +92,6 @@ fn of_store(e: &StoreError) -> u8 {
         StoreError::NotFound { .. } | StoreError::NotAFile { .. } => 66,
         StoreError::Permission { .. } => 77,
         StoreError::CannotCreate { .. } => 73,
-        StoreError::Locked { .. } => 75,
         StoreError::Budget { .. } => 78,
         StoreError::Interrupted => 130,
         StoreError::NoSpace { .. } | StoreError::TooLittleDisk { .. } | StoreError::Io { .. } => 74,

@@ -26,6 +26,7 @@ fn a_pair() {
     let bench = room();
     let yes = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1").exits(0);
     assert!(yes.stdout.starts_with("yes\n") && yes.stdout.contains("nodes"), "{}", yes.stdout);
+    assert!(yes.stdout.contains("\n  distances "), "{}", yes.stdout);
     let no = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,-1").exits(1);
     assert!(no.stdout.starts_with("no\n") && no.stderr.is_empty(), "{no:?}");
     for (places, visible) in [("-0.5,-0.5,-1 0.5,0.5,1", true), ("-0.5,-0.5,-1 0.5,0.5,-1", false)]

@@ -26,6 +26,7 @@ fn exit_2_wrong_usage() {
         "ingest a.ply --up --sensor 1,2,3",
         "query a.vmap pair 1,2,3",
         "query a.vmap pair 1,2,nan 4,5,6",
+        "demo --points 0",
         "scene castle -o a.ply",
         "build a.octree --max-level many",
     ] {
@@ -157,6 +158,9 @@ fn exit_78_configuration() {
     bench.line("build --config table.toml").fails(78, &["table.toml", "line 2, column 1"]);
     bench.write("value.toml", "max_level = 22\n");
     bench.line("build --config value.toml").fails(78, &["value.toml", "max_level = 22", "1 to 21"]);
+    bench.write("large.toml", "#".repeat((1 << 20) + 1));
+    bench.line("build --config large.toml").fails(78, &["large.toml", "larger than 1 MiB"]);
+    bench.line("build --config /dev/zero").fails(78, &["/dev/zero", "no such configuration"]);
     bench.line("build --config depth80").fails(78, &["depth80", "depth8, paper, preview"]);
     bench.line("build --max-level 0").fails(78, &["max_level = 0"]);
     bench.line("build --memory 1MiB").fails(78, &["memory", "64MiB"]);
@@ -183,7 +187,9 @@ fn configurations_presets_and_flags() {
     assert_eq!(config("--config paper"), paper);
     assert_eq!(config("--tree paper --profile paper"), paper);
 
-    // A file stands before a preset of its name, and a flag before both.
+    // A file stands before a preset of its name, a folder does not; a flag stands before both.
+    std::fs::create_dir(bench.path("paper")).unwrap();
+    assert_eq!(config("--config paper"), paper);
     bench.write("paper.toml", "max_level = 3\ntree = \"paper\"\n");
     let mine = config("--config paper.toml");
     assert!(mine.contains("max_level = 3") && mine.contains("profile = \"patch\""), "{mine}");
@@ -204,10 +210,29 @@ fn an_interaction_list_is_found_beside_its_configuration() {
     bench.line("build --config plan/plan.toml -o planned.vmap").ok();
     let count = |map: &str| info(&bench, map)["visible_pairs"].clone();
     assert_eq!(count("planned.vmap"), count("room.vmap"));
-    let twice = format!("{text}{}\n", text.lines().nth(1).unwrap());
-    bench.write("plan/pairs.csv", twice);
-    let run = bench.line("build --config plan/plan.toml -o planned.vmap");
-    assert!(run.code == 65 || run.code == 78, "{run:?}");
+    let sound = text.lines().nth(1).unwrap();
+    let twice = format!("{text}{sound}\n");
+    let last = format!("lines 2 and {}:", twice.lines().count());
+    let build = "build --config plan/plan.toml -o planned.vmap";
+    for (list, code, words) in [
+        (&*twice, 65, ["pairs.csv", &last]),
+        (
+            &*format!("node_a,node_b\n{sound}\n1,99999999\n"),
+            65,
+            ["line 3: ", "99999999 does not exist"],
+        ),
+        (&*format!("node_a,node_b\n{sound}\n0,1\n"), 65, ["line 3: ", "holds node 1"]),
+        ("node_a,node_b\n1,2\n3\n", 78, ["line 3: ", "1 columns"]),
+        ("node_a,node_b\n1,x\n", 78, ["line 2: ", "\"x\" is no node id"]),
+        ("node_a\n1\n", 78, ["line 1: ", "no column node_b"]),
+    ] {
+        bench.write("plan/pairs.csv", list);
+        bench.line(build).fails(code, &words);
+    }
+    std::fs::remove_file(bench.path("plan/pairs.csv")).unwrap();
+    bench.line(build).fails(66, &["plan/pairs.csv", "no such file"]);
+    bench.write("plan/plan.toml", "[interaction]\nlist = \"/dev/zero\"\n");
+    bench.line(build).fails(66, &["/dev/zero", "not a regular file"]);
 }
 
 #[test]

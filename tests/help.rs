@@ -1,31 +1,10 @@
 //! The help of every command, and what `info` prints, held against snapshots: a change of a word
-//! is seen in review. Snapshots have the form of insta's; INSTA_UPDATE=always writes them anew.
+//! is seen in review. INSTA_UPDATE=always writes them anew.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
 
-use std::path::Path;
-
 use cli_common::{Bench, room};
-
-/// Compares a text with its snapshot.
-#[track_caller]
-fn assert_snapshot(name: &str, text: &str) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots");
-    let path = folder.join(format!("help__{name}.snap"));
-    let header = "---\nsource: tests/help.rs\nexpression: text\n---\n";
-    let found = format!("{header}{}\n", text.trim_end());
-    if std::env::var_os("INSTA_UPDATE").is_some_and(|v| v == "always") {
-        std::fs::create_dir_all(folder).unwrap();
-        std::fs::write(&path, &found).unwrap();
-    }
-    let expected = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        found == expected,
-        "{name} is not as in {}; INSTA_UPDATE=always accepts it:\n{found}",
-        path.display()
-    );
-}
 
 /// Every page of help: its name, and what asks for it.
 const PAGES: [(&str, &str); 11] = [
@@ -46,7 +25,7 @@ const PAGES: [(&str, &str); 11] = [
 fn help_is_as_it_was() {
     let bench = Bench::new();
     for (name, line) in PAGES {
-        assert_snapshot(name, &bench.line(line).ok().stdout);
+        insta::assert_snapshot!(name, bench.line(line).ok().stdout);
     }
 }
 
@@ -97,6 +76,6 @@ fn info_is_as_it_was() {
         ("info_map_json", "info room.vmap --json"),
         ("info_preview", "info preview.vmap"),
     ] {
-        assert_snapshot(name, &bench.line(line).ok().stdout);
+        insta::assert_snapshot!(name, bench.line(line).ok().stdout);
     }
 }

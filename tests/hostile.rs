@@ -353,6 +353,19 @@ fn f68_a_leaf_a_point() {
     bench.with_map("a.vmap", |view| assert_eq!(u64::from(view.summary().n_surfels), side * side));
 }
 
+#[test]
+fn d9_a_tree_too_large_for_its_memory_is_refused_within_it() {
+    let bench = Bench::new();
+    write_las(&bench.path("a.las"), 600_000, floor(775));
+    ingest_tight(&bench, "a.las", &["--normals", "none"]).ok().within(64);
+    for shape in ["binned", "paper"] {
+        let leaves = ["--max-level", "21", "--leaf-capacity", "1", "--tree", shape];
+        let run = bench.run([&["build", "a.octree"], &TIGHT[..], &leaves].concat());
+        run.fails(78, &["--memory", "surfels"]).within(64);
+    }
+    assert_eq!(bench.names(), ["a.las", "a.octree"]);
+}
+
 /// Runs a command with no more than 64 files open at a time, where that can be arranged.
 fn with_few_handles(command: Command) -> Command {
     if Command::new("prlimit").arg("--version").output().is_err() {

@@ -1,5 +1,7 @@
 //! Real scans the whole way: ingest, build, verify, query, each stage within the memory of [D-9].
-//! The long way, with the great scans, is behind `PVMAP_SLOW_TESTS`.
+//!
+//! The great scans are behind `PVMAP_SLOW_TESTS`: with `PVMAP_SLOW_TESTS=1` to depth 6, with
+//! `PVMAP_SLOW_TESTS=all` as `depth8.toml` says, which takes about an hour for the room.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
@@ -46,6 +48,15 @@ fn run_within(bench: &Bench, line: &str, input: &Path, memory_mib: u64) -> Run {
     let held = run.anon_bytes;
     assert!(held <= allowed, "{line}: {} of {} MiB", mib(held), mib(allowed));
     run
+}
+
+/// The default, named as a user names it.
+const DEPTH_8: &str = "--config depth8.toml";
+
+/// Says how a scan of millions of points is built in a slow run.
+fn depth_of_great_scans() -> &'static str {
+    let is_all = std::env::var_os("PVMAP_SLOW_TESTS").is_some_and(|asked| asked == "all");
+    if is_all { DEPTH_8 } else { "--max-level 6" }
 }
 
 /// Takes a scan the whole way and gives the folder with its octree and map.
@@ -152,10 +163,10 @@ fn an_indoor_scan() {
 }
 
 #[test]
-fn slow_lion_at_depth_7() {
+fn slow_lion_at_depth_8() {
     if is_slow_asked_for() {
-        the_whole_way(&Case { build: "--max-level 7", ..LION });
-        the_whole_way(&Case { build: "--max-level 7", ..COPC });
+        the_whole_way(&Case { build: DEPTH_8, ..LION });
+        the_whole_way(&Case { build: DEPTH_8, ..COPC });
     }
 }
 
@@ -166,7 +177,7 @@ fn slow_room_of_one_station() {
             file: "scans/room_10grenoble_11.6M_1station.laz",
             n_points: 11_605_395,
             ingest: "--sensor 0,0,1.77",
-            build: "--max-level 4",
+            build: depth_of_great_scans(),
             memory_mib: 512,
         });
     }
@@ -179,8 +190,8 @@ fn slow_loft_with_normals() {
             file: "scans/loft_normals_3.0M.laz",
             n_points: 3_021_294,
             ingest: "",
-            build: "--max-level 5",
-            memory_mib: 64,
+            build: depth_of_great_scans(),
+            memory_mib: 512,
         });
     }
 }
@@ -192,8 +203,8 @@ fn slow_gorge_from_the_air() {
             file: "scans/airborne_rrg_2.26M.laz",
             n_points: 2_258_235,
             ingest: "--up",
-            build: "--max-level 4",
-            memory_mib: 64,
+            build: depth_of_great_scans(),
+            memory_mib: 512,
         });
     }
 }

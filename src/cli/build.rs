@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::config::{RawConfig, RawProfile, RawTree};
+use pvmap::config::{RawConfig, RawProfile, RawTree, at_lines};
 use pvmap::{Built, Error};
 
 use super::{Context, Outcome, check_threads, mib, refuse_input};
@@ -15,8 +15,8 @@ use crate::progress::si;
 #[command(after_help = "\
 Presets:
   depth8    cells down to 1/256 of the scan's extent, some 50 points a surfel: the default
-  preview   cells down to 1/64, large surfels: a first look, many times faster
-  paper     as in the paper: a plain octree, slower and less exact at edges
+  preview   cells down to 1/64, some 200 points a surfel: a first look
+  paper     as in the paper: a plain octree, with averaged normals at edges
 
 A configuration file has the same names as keys, all optional, and a table for a given
 interaction list; flags override it. In brackets above stands what depth8 says:
@@ -89,7 +89,9 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         memory: args.memory.clone(),
         interaction: None,
     };
-    let (config, limits) = flags.over(RawConfig::find(&args.config)?).check()?;
+    let raw = flags.over(RawConfig::find(&args.config)?);
+    let list = raw.interaction.as_ref().and_then(|i| i.list.clone());
+    let (config, limits) = raw.check()?;
     check_threads(&limits)?;
     let octree = match &args.octree {
         Some(octree) => octree.clone(),
@@ -100,7 +102,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         None => default_output(&octree),
     };
     refuse_input(&output, &[octree.join(pvmap::vmap::octree::FILE_NAME)])?;
-    let built = pvmap::build(&octree, &output, &config, &limits, &context.progress)?;
+    let built = pvmap::build(&octree, &output, &config, &limits, &context.progress);
+    let built = built.map_err(|e| match &list {
+        Some(list) => at_lines(list, e),
+        None => e,
+    })?;
     print(&output, &built, context)?;
     Ok(ExitCode::SUCCESS)
 }

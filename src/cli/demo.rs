@@ -12,7 +12,7 @@ use pvmap::vmap::{FormatError, MapView};
 use pvmap::{BuildConfig, Built, Error, IngestRequest, Limits, Mapped, StoreError};
 
 use super::build::{fewer_links, square};
-use super::{Context, Outcome, mib, parse_count};
+use super::{Context, Outcome, mib, parse_count, parse_some};
 use crate::progress::StageDone;
 
 /// Go the whole way with a generated room, and print what it took
@@ -27,7 +27,7 @@ Examples:
   pvmap demo --keep room                the same, and a room to play with")]
 pub(super) struct Args {
     /// Points of the room
-    #[arg(long, default_value = "400k", value_parser = parse_count, value_name = "N")]
+    #[arg(long, default_value = "400k", value_parser = parse_some, value_name = "N")]
     points: u64,
     /// What the points are drawn from
     #[arg(long, default_value_t = 1, value_name = "S")]

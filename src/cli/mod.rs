@@ -258,6 +258,14 @@ fn parse_count(text: &str) -> Result<u64, String> {
     }
 }
 
+/// Reads a number of points that is not zero.
+fn parse_some(text: &str) -> Result<u64, String> {
+    match parse_count(text)? {
+        0 => Err("there must be some".to_owned()),
+        n => Ok(n),
+    }
+}
+
 /// Writes a size: 12.3 MiB.
 fn mib(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / (1 << 20) as f64)

@@ -47,6 +47,7 @@ not have length 1.
 Answer:
   yes or no
   surfels   which surfels the places lie on
+  distances how far from them, in the scan's units
   link      the two nodes that settle it, where the answer is yes
   settles   how many points lie in each of them: all of these see each other
 
@@ -150,6 +151,7 @@ fn answer_pair(map: &Map<'_>, path: &Path, args: &PairArgs) -> Outcome {
         let mut out = io::stdout().lock();
         writeln!(out, "{}", if answer.visible { "yes" } else { "no" })?;
         writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
+        writeln!(out, "  distances {} and {}", a.distance, b.distance)?;
         match &answer.link {
             Some(link) => {
                 let ((na, nb), (pa, pb)) = (link.nodes, link.n_points);

@@ -1,8 +1,12 @@
 //! The configuration of a build: TOML files, presets that ship with the command, checked values.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
+use pvmap_store::StoreError;
+use pvmap_visibility::VisibilityError;
 use pvmap_vmap::Shape;
 use serde::Deserialize;
 
@@ -97,9 +101,9 @@ impl RawConfig {
     /// # Errors
     /// Where neither is there, the file cannot be read, or a key is unknown or has a bad value.
     pub fn find(name: &Path) -> Result<RawConfig, Error> {
-        if name.exists() {
-            let text = std::fs::read_to_string(name)
-                .map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
+        if name.is_file() {
+            let text =
+                read_text(name).map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
             let mut raw = parse(&name.display().to_string(), &text)?;
             raw.memory_bytes()
                 .and(raw.deepest_level())
@@ -175,7 +179,11 @@ impl RawConfig {
             },
             interaction: match self.interaction.and_then(|i| i.list) {
                 None => None,
-                Some(path) => Some(read_pairs(&path)?),
+                Some(path) => {
+                    let mut pairs = Vec::new();
+                    read_pairs(&path, |_, pair| pairs.push(pair))?;
+                    Some(pairs)
+                }
             },
         };
         Ok((config, Limits { threads: self.threads.unwrap_or(0), memory_bytes }))
@@ -191,31 +199,78 @@ fn parse(name: &str, text: &str) -> Result<RawConfig, Error> {
     })
 }
 
-/// Reads an interaction list: CSV with the header `node_a,node_b`.
-fn read_pairs(path: &Path) -> Result<Vec<(u32, u32)>, Error> {
+/// The longest a configuration may be.
+const MAX_CONFIG_BYTES: u64 = 1 << 20;
+
+fn read_text(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    let n_bytes = File::open(path)?.take(MAX_CONFIG_BYTES + 1).read_to_string(&mut text)?;
+    if n_bytes as u64 > MAX_CONFIG_BYTES {
+        return Err(std::io::Error::other("larger than 1 MiB; is it a configuration?"));
+    }
+    Ok(text)
+}
+
+/// Reads an interaction list, CSV with the header `node_a,node_b`; hands out each pair with its
+/// line.
+fn read_pairs(path: &Path, mut each: impl FnMut(u64, (u32, u32))) -> Result<(), Error> {
     let fail =
         |line: u64, what: String| Error::Config(format!("{}: line {line}: {what}", path.display()));
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .from_path(path)
-        .map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-    let header = reader.headers().map_err(|e| fail(1, e.to_string()))?.clone();
+    let broken = |e: csv::Error| {
+        let line = e.position().map_or(1, csv::Position::line);
+        match e.into_kind() {
+            csv::ErrorKind::Io(e) => StoreError::io(path, "read", e).into(),
+            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+                fail(line, format!("{len} columns, where the header has {expected_len}"))
+            }
+            _ => fail(line, "it is not UTF-8 text".to_owned()),
+        }
+    };
+    let metadata = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
+    if !metadata.is_file() {
+        return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
+    }
+    let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file);
+    let header = reader.headers().map_err(broken)?.clone();
     let column = |name: &str| {
         let found = header.iter().position(|h| h == name);
         found.ok_or_else(|| fail(1, format!("no column {name}; the header is node_a,node_b")))
     };
     let (a, b) = (column("node_a")?, column("node_b")?);
-    let mut pairs = Vec::new();
     for row in reader.records() {
-        let row = row.map_err(|e| fail(0, e.to_string()))?;
+        let row = row.map_err(broken)?;
         let line = row.position().map_or(0, csv::Position::line);
         let id = |i: usize| {
             let text = row.get(i).unwrap_or_default();
             text.parse::<u32>().map_err(|_| fail(line, format!("{text:?} is no node id")))
         };
-        pairs.push((id(a)?, id(b)?));
+        each(line, (id(a)?, id(b)?));
     }
-    Ok(pairs)
+    Ok(())
+}
+
+/// Names the lines of an interaction list that an error is about; others stay as they are.
+pub fn at_lines(list: &Path, error: Error) -> Error {
+    let Error::Visibility(VisibilityError::Interaction { rows, fault }) = error else {
+        return error;
+    };
+    let (mut row, mut lines) = (0, Vec::new());
+    // The list is read once more: only the lines of its faults are worth memory.
+    let read = read_pairs(list, |line, _| {
+        if rows.contains(&row) {
+            lines.push(line.to_string());
+        }
+        row += 1;
+    });
+    match read {
+        Err(e) => e,
+        Ok(()) => {
+            let (word, lines) =
+                (if lines.len() == 1 { "line" } else { "lines" }, lines.join(" and "));
+            Error::Data(format!("{}: {word} {lines}: {fault}", list.display()))
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
 //! The leaf-pair test, exact: who faces whom [V-1], and who stands between [V-2].
 //!
 //! Every quantity is an integer of the grid and every comparison is free of division, so a verdict
-//! is that of rational arithmetic on the stored integers. Sizes, with |n| ≤ 2^14·√3/√3 + 1 and
-//! coordinates below 2^22 (patch boxes below 2^24): |s|, |h| < 2^38; each term of `e` and of the
-//! patch comparison < 2^62, so they fit i64; squares fit i128.
+//! is that of rational arithmetic on the stored integers. Sizes: |n| ≤ 2^14 + 1 (its components are
+//! rounded), centroids in 0…2^22 - 1, so a difference of two is below 2^22 an axis and |d| < 2^23.
+//! Then |s|, |h| < 2^37; the terms of `e` are below 2^59, those of the patch comparison, with boxes
+//! below 2^24, below 2^61: they fit i64 and so do sums of two. |e|² is below 2^122, and with
+//! R² < 2^46 the products beside it are below 2^120: they fit i128.
 
 use crate::bounds::Box3;
 use crate::normal::Normal;
@@ -115,7 +117,8 @@ pub fn half_sides(normal: Normal, radius2: u64) -> [i32; 3] {
         return [0; 3];
     }
     [0, 1, 2].map(|i| {
-        // floor(R²·(|n|² - n_i²) / |n|²), then the least r with r² ≥ that quotient rounded up.
+        // The quotient R²·(|n|² - n_i²) / |n|² rounded up, then the least r whose square is no
+        // less.
         let scaled = u128::from(radius2) * (len2 - n[i] * n[i]) as u128;
         let square = scaled.div_ceil(len2 as u128) as u64;
         let root = square.isqrt();

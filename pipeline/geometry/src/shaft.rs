@@ -104,6 +104,32 @@ mod tests {
             .prop_map(|(min, size)| Box3 { min, max: [0, 1, 2].map(|i| min[i] + size[i]) })
     }
 
+    /// What boxes of occluders are in: patch boxes leave the cube by up to 2^23.
+    const ANYWHERE: std::ops::Range<i32> = -(1 << 23)..(1 << 22) + (1 << 23);
+    /// What centroids are in.
+    const IN_CUBE: std::ops::Range<i32> = 0..1 << 22;
+
+    /// Boxes with corners in a range, of every order of size.
+    fn boxes_in(range: std::ops::Range<i32>) -> impl Strategy<Value = Box3> {
+        let last = range.end - 1;
+        let size = (0..=22u32).prop_flat_map(|bits| prop::array::uniform3(0..1i32 << bits));
+        (prop::array::uniform3(range), size).prop_map(move |(min, size)| Box3 {
+            min,
+            max: [0, 1, 2].map(|i| (min[i] + size[i]).min(last)),
+        })
+    }
+
+    /// Scales a box and moves it; what it met or missed it still does if all are treated alike.
+    fn carried(b: &Box3, scale: i32, by: [i32; 3]) -> Box3 {
+        let carry = |v: [i32; 3]| [0, 1, 2].map(|i| v[i] * scale + by[i]);
+        Box3 { min: carry(b.min), max: carry(b.max) }
+    }
+
+    /// Gives the place at these fractions of the way through a box.
+    fn inside(b: &Box3, s: [f64; 3]) -> [i32; 3] {
+        [0, 1, 2].map(|i| b.min[i] + ((b.max[i] - b.min[i]) as f64 * s[i]).round() as i32)
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
         #[test]
@@ -111,9 +137,6 @@ mod tests {
             a in boxes(20), b in boxes(20), k in boxes(20),
             s in prop::array::uniform3(0.0f64..=1.0), t in prop::array::uniform3(0.0f64..=1.0),
         ) {
-            let inside = |b: &Box3, s: [f64; 3]| {
-                [0, 1, 2].map(|i| b.min[i] + ((b.max[i] - b.min[i]) as f64 * s[i]).round() as i32)
-            };
             if segment_meets(inside(&a, s), inside(&b, t), &k) {
                 prop_assert!(!Shaft::new(&a, &b).misses(&k));
                 prop_assert!(!Shaft::new(&b, &a).misses(&k));
@@ -121,11 +144,37 @@ mod tests {
         }
 
         #[test]
+        fn what_a_segment_of_the_whole_grid_meets_is_never_missed(
+            a in boxes_in(IN_CUBE), b in boxes_in(IN_CUBE), far in boxes_in(ANYWHERE),
+            s in prop::array::uniform3(0.0f64..=1.0), t in prop::array::uniform3(0.0f64..=1.0),
+            way in 0.0f64..=1.0, corner in prop::array::uniform3(-1..=1i32),
+            half in (0..=22u32).prop_flat_map(|bits| 0..1i32 << bits),
+        ) {
+            let (from, to) = (inside(&a, s), inside(&b, t));
+            // A box that a segment touches with a corner or a face, to the step, and any other.
+            let on = [0, 1, 2].map(|i| {
+                from[i] + (f64::from(to[i] - from[i]) * way).round() as i32 + corner[i] * half
+            });
+            for k in [Box3::at(on).grown(half), far] {
+                if segment_meets(from, to, &k) {
+                    prop_assert!(!Shaft::new(&a, &b).misses(&k));
+                    prop_assert!(!Shaft::new(&b, &a).misses(&k));
+                    let [a, b] = [from, to].map(Box3::at);
+                    prop_assert!(!Shaft::new(&a, &b).misses(&k));
+                }
+            }
+        }
+
+        #[test]
         fn a_thin_shaft_misses_what_its_segment_misses(
             a in boxes(1), b in boxes(1), k in boxes(30),
+            scale_bits in 0..=15u32, is_far in prop::array::uniform3(any::<bool>()),
         ) {
             // Between single places the shaft is the segment, and its planes are all the
-            // separating axes of a segment and a box.
+            // separating axes of a segment and a box. Corners are below 130.
+            let scale = 1 << scale_bits;
+            let by = is_far.map(|far| i32::from(far) * ((1 << 22) - 128 * scale));
+            let [a, b, k] = [&a, &b, &k].map(|v| carried(v, scale, by));
             let missed = Shaft::new(&a, &b).misses(&k);
             prop_assert_eq!(missed, !segment_meets(a.min, b.min, &k));
         }

@@ -5,7 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use pvmap_vmap::links::LinkLists;
 use pvmap_vmap::{FormatError, MapView};
 
-/// Frames kept. One takes some 0.2 MB decoded, 0.7 MB at most, so all take some 50 MB.
+/// Frames kept. One of pvmap's own takes some 0.2 MB decoded and 0.4 MB at most (lists of two
+/// links each, just above a power of two of them), so all take some 50 MB, at worst 100 MB. Of the
+/// largest frames that [F-18] allows one takes 0.8 MB and all take 200 MB.
 const N_SLOTS: usize = 256;
 
 /// A decoded link frame.

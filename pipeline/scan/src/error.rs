@@ -117,7 +117,7 @@ impl ScanError {
                 StoreError::NotFound { .. } | StoreError::NotAFile { .. } => ErrorKind::NotFound,
                 StoreError::Permission { .. } => ErrorKind::Permission,
                 StoreError::CannotCreate { .. } => ErrorKind::CannotCreate,
-                StoreError::Interrupted | StoreError::Locked { .. } => ErrorKind::Interrupted,
+                StoreError::Interrupted => ErrorKind::Interrupted,
                 _ => ErrorKind::Io,
             },
             _ => ErrorKind::BadData,

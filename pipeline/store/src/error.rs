@@ -55,12 +55,6 @@ pub enum StoreError {
         /// What is left.
         have_bytes: u64,
     },
-    /// Another process is making the same output.
-    #[error("{}: locked by another run; wait for it to end", path.display())]
-    Locked {
-        /// The output.
-        path: PathBuf,
-    },
     /// Any other failure of the operating system.
     #[error("{}: {action} failed: {source}", path.display())]
     Io {
@@ -76,13 +70,13 @@ pub enum StoreError {
     Interrupted,
     /// The memory budget cannot hold what a stage needs at the least.
     #[error(
-        "--memory leaves {} MiB for {what}, which needs {} MiB; give it more",
+        "--memory leaves {} MiB for {what}, which needs at least {} MiB; give it more",
         have_bytes >> 20, (need_bytes >> 20) + 1
     )]
     Budget {
         /// What had to be held.
         what: &'static str,
-        /// What it needs.
+        /// What it needs at least.
         need_bytes: u64,
         /// What there is.
         have_bytes: u64,

@@ -69,24 +69,22 @@ impl Runs {
         Ok(())
     }
 
-    /// Walks all pairs of all runs and of `rest` (which rises too) in order. A pair that stands in
-    /// two runs comes twice.
+    /// Walks all pairs of all runs in order. A pair that stands in two runs comes twice.
     ///
     /// # Errors
     /// Where the disk or `each` fails.
     pub fn merge<E: From<StoreError>>(
         self,
-        rest: &[Pair],
         each: impl FnMut(Pair) -> Result<(), E>,
     ) -> Result<(), E> {
         let Runs { shelf, mut runs } = self;
         while runs.len() > MAX_FAN_IN {
             let group = runs.drain(..MAX_FAN_IN).collect();
             let mut packer = Packer::new(&shelf);
-            merge_runs(&shelf, group, &[], |pair| packer.put(pair))?;
+            merge_runs(&shelf, group, |pair| packer.put(pair))?;
             runs.push(packer.finish()?);
         }
-        merge_runs(&shelf, runs, rest, each)
+        merge_runs(&shelf, runs, each)
     }
 }
 
@@ -211,21 +209,17 @@ impl Cursor {
 fn merge_runs<E: From<StoreError>>(
     shelf: &Shelf,
     runs: Vec<Run>,
-    rest: &[Pair],
     mut each: impl FnMut(Pair) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut cursors: Vec<Cursor> = runs.into_iter().map(Cursor::new).collect();
-    let mut heap = BinaryHeap::with_capacity(cursors.len() + 1);
+    let mut heap = BinaryHeap::with_capacity(cursors.len());
     for (i, cursor) in cursors.iter_mut().enumerate() {
         heap.extend(cursor.next(shelf)?.map(|pair| Reverse((pair, i))));
     }
-    let mut rest = rest.iter().copied();
-    heap.extend(rest.next().map(|pair| Reverse((pair, usize::MAX))));
     while let Some(mut top) = heap.peek_mut() {
         let Reverse((pair, i)) = *top;
         each(pair)?;
-        let next = if i == usize::MAX { rest.next() } else { cursors[i].next(shelf)? };
-        match next {
+        match cursors[i].next(shelf)? {
             // Replacing the top in place costs one sift instead of a pop and a push.
             Some(next) => *top = Reverse((next, i)),
             None => {
@@ -262,13 +256,13 @@ fn take_varint(bytes: &[u8], at: &mut usize) -> u32 {
 mod tests {
     use super::*;
 
-    fn merged(runs: Runs, rest: &[Pair]) -> Vec<Pair> {
+    fn merged(runs: Runs) -> Vec<Pair> {
         let mut merged = Vec::new();
         let each = |pair| {
             merged.push(pair);
             Ok::<_, StoreError>(())
         };
-        runs.merge(rest, each).unwrap();
+        runs.merge(each).unwrap();
         merged
     }
 
@@ -284,24 +278,31 @@ mod tests {
         {
             let mut runs = Runs::new(folder.path(), limit_bytes);
             for r in 0..n_runs {
-                let run: Vec<Pair> = (0..n).filter(|i| i % (n_runs + 1) == r).map(pair).collect();
+                let run: Vec<Pair> = (0..n).filter(|i| i % n_runs == r).map(pair).collect();
                 runs.push(&run).unwrap();
                 assert!(runs.shelf.held_bytes.get() <= limit_bytes);
             }
             let is_held = runs.spilled_bytes() == 0;
             assert_eq!(is_held, limit_bytes == u64::MAX, "{n_runs} runs, {limit_bytes} bytes");
             assert_eq!(runs.shelf.file.get().is_none(), is_held);
-            let rest: Vec<Pair> = (0..n).filter(|i| i % (n_runs + 1) == n_runs).map(pair).collect();
-            assert!(merged(runs, &rest) == expected, "{n_runs} runs, {limit_bytes} bytes");
+            assert!(merged(runs) == expected, "{n_runs} runs, {limit_bytes} bytes");
         }
     }
 
     #[test]
-    fn no_runs_give_the_rest() {
+    fn no_runs_give_no_pairs() {
         let folder = tempfile::tempdir().unwrap();
-        let rest = [(1, 2), (1, u32::MAX), (u32::MAX, 0)];
         let mut runs = Runs::new(folder.path(), 0);
         runs.push(&[]).unwrap();
-        assert_eq!(merged(runs, &rest), rest);
+        assert_eq!(merged(runs), []);
+    }
+
+    #[test]
+    fn the_largest_steps_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let pairs = [(1, 2), (1, u32::MAX), (u32::MAX, 0)];
+        let mut runs = Runs::new(folder.path(), 0);
+        runs.push(&pairs).unwrap();
+        assert_eq!(merged(runs), pairs);
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use pvmap_geometry::disc::{Disc, Profile};
+use pvmap_store::memory::require;
 use pvmap_store::output::folder_of;
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::sections::Section;
@@ -19,10 +20,10 @@ use rayon::prelude::*;
 use crate::bounds;
 use crate::candidates::{self, Occluder};
 use crate::error::VisibilityError;
-use crate::interaction::{checked_pairs, sibling_pairs};
+use crate::interaction::{self, checked_pairs, sibling_pairs};
 use crate::kernel::Counts;
 use crate::pairs::{Decider, Scene, Status};
-use crate::tasks::{Plan, n_leaf_pairs};
+use crate::tasks::{Plan, PlanLimits, n_leaf_pairs};
 
 /// What decides the content of a map, and what does not.
 #[derive(Debug, Clone)]
@@ -79,7 +80,7 @@ pub struct BuildReport {
 ///
 /// # Errors
 /// Where the interaction list breaks a rule, the disk fails, the budget cannot hold the surfels
-/// or the run is asked to stop; `output` is then what it was before.
+/// and the plan, or the run is asked to stop; `output` is then what it was before.
 pub fn build(
     input: &MapInput<'_>,
     options: &BuildOptions,
@@ -88,6 +89,9 @@ pub fn build(
     let tree = input.tree;
     // First of all, so that an output that cannot be made costs no work.
     let file = SectionFile::create(&options.output, head_bytes(SECTIONS.len()))?;
+    let fixed = fixed_bytes(tree, options.interaction.as_deref());
+    let least = rayon::current_num_threads() as u64 * LEAST_THREAD_BYTES;
+    require("the surfels and nodes of this tree", fixed + least, options.memory_bytes)?;
     let starts = match &options.interaction {
         Some(given) => checked_pairs(tree, given)?,
         None => sibling_pairs(tree),
@@ -98,8 +102,9 @@ pub fn build(
     let bounds = bounds::of_tree(tree, &discs, profile);
     let occluders = candidates::occluders(tree, &bounds);
     let scene = Scene { tree, discs: &discs, bounds: &bounds, occluders: &occluders, profile };
-    let links = LinkSink::new(options, tree)?;
-    let plan = Plan::new(&scene, &starts);
+    let shares = Shares::of(options.memory_bytes - fixed);
+    let plan = Plan::new(&scene, &starts, &shares.plan)?;
+    let links = LinkSink::new(options, &shares);
     let counts = decide(&scene, &starts, &plan, &links, watch)?;
     let interaction = options.interaction.as_ref().map(|_| starts.as_slice());
     write(file, input, options, interaction, links, watch).map(|report| BuildReport {
@@ -139,49 +144,57 @@ fn decide(
             Ok(status)
         })
         .collect::<Result<_, StoreError>>()?;
-    let mut above = Vec::new();
-    plan.combine(&statuses, &mut above);
     let mut counts = Counts::default();
     for (decider, mut found) in deciders.into_inner().unwrap_or_else(PoisonError::into_inner) {
         counts.add(&decider.counts);
         links.put(&mut found)?;
     }
+    let mut above = Vec::new();
+    plan.combine(&statuses, &mut above);
     links.put(&mut above)?;
     Ok(counts)
+}
+
+/// How the memory is shared that the tree leaves: a quarter is for the plan, half for the buffers
+/// of links, an eighth for finished runs of them; the rest is for deciders, merging and writing.
+#[derive(Debug, Clone, Copy)]
+struct Shares {
+    plan: PlanLimits,
+    runs_bytes: u64,
+}
+
+/// What each thread needs at the least.
+const LEAST_THREAD_BYTES: u64 = 1 << 20;
+
+/// A link in a buffer is there twice while the buffer grows.
+const BUFFER_COST_BYTES: u64 = 2 * size_of::<Pair>() as u64;
+
+impl Shares {
+    fn of(spare_bytes: u64) -> Shares {
+        let n_threads = rayon::current_num_threads() as u64;
+        let buffer_links = spare_bytes / 2 / n_threads / BUFFER_COST_BYTES;
+        // Half of a buffer may be full before a task that fills the other half.
+        let plan = PlanLimits { task_links: buffer_links / 2, memory_bytes: spare_bytes / 4 };
+        Shares { plan, runs_bytes: spare_bytes / 8 }
+    }
 }
 
 /// Where links go until they are written: sorted runs, in memory or on disk.
 #[derive(Debug)]
 struct LinkSink {
     runs: Mutex<Runs>,
-    /// Most links a thread keeps before it sorts and spills them.
-    buffer_links: usize,
+    /// Links a thread keeps before it sorts them and puts them away.
+    full_links: usize,
 }
 
-/// Sorting in place, twice the buffer for its growth.
-const BUFFER_COST_BYTES: u64 = 16;
-
-/// Finished runs may hold an eighth: half goes to the buffers, the rest is for deciders.
-const HELD_PART: u64 = 8;
-
 impl LinkSink {
-    fn new(options: &BuildOptions, tree: &Tree) -> Result<LinkSink, StoreError> {
-        let fixed = fixed_bytes(tree);
-        let n_threads = rayon::current_num_threads() as u64;
-        let least = n_threads * (1 << 20);
-        let what = "the surfels and nodes of this tree";
-        pvmap_store::memory::require(what, fixed + least, options.memory_bytes)?;
-        let spare = options.memory_bytes - fixed;
-        // Half for the buffers of the threads, an eighth for runs, the rest for merging and writing.
-        let share = spare / 2 / n_threads;
-        let buffer_links = (share / BUFFER_COST_BYTES) as usize;
-        let runs =
-            Runs::new(folder_of(&options.output), (options.memory_bytes - fixed) / HELD_PART);
-        Ok(LinkSink { runs: Mutex::new(runs), buffer_links })
+    fn new(options: &BuildOptions, shares: &Shares) -> LinkSink {
+        let runs = Runs::new(folder_of(&options.output), shares.runs_bytes);
+        LinkSink { runs: Mutex::new(runs), full_links: shares.plan.task_links as usize }
     }
 
     fn put_when_full(&self, links: &mut Vec<Pair>) -> Result<(), StoreError> {
-        if links.len() >= self.buffer_links { self.put(links) } else { Ok(()) }
+        if links.len() >= self.full_links { self.put(links) } else { Ok(()) }
     }
 
     fn put(&self, links: &mut Vec<Pair>) -> Result<(), StoreError> {
@@ -192,11 +205,15 @@ impl LinkSink {
     }
 }
 
-/// What a build holds besides its links.
-fn fixed_bytes(tree: &Tree) -> u64 {
+/// What a build holds besides its links and their plan.
+fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
     let a_node = size_of::<Node>() + size_of::<bounds::Bounds>() + size_of::<Occluder>();
     let a_leaf = size_of::<Surfel>() + size_of::<Disc>() + size_of::<bounds::Bounds>();
-    (tree.nodes.len() * a_node + tree.surfels.len() * a_leaf) as u64
+    let starts = match given {
+        Some(given) => given.len() * interaction::GIVEN_BYTES,
+        None => interaction::n_sibling_pairs(tree) * size_of::<Pair>(),
+    };
+    (tree.nodes.len() * a_node + tree.surfels.len() * a_leaf + starts) as u64
 }
 
 /// Writes the map from the tree and the spilled links.
@@ -292,7 +309,7 @@ fn write_links(
         let node = &tree.nodes[id as usize];
         u128::from(node.end_surfel - node.first_surfel)
     };
-    runs.merge(&[], |(a, b)| {
+    runs.merge(|(a, b)| {
         n_links += 1;
         n_visible_pairs += n_leaves(a) * n_leaves(b);
         if let Some((block, frame)) = encoder.push((a, b)).map_err(VisibilityError::Compress)? {

@@ -11,32 +11,36 @@ pub enum VisibilityError {
     /// zstd could not compress a block of links.
     #[error("compressing links failed: {0}")]
     Compress(#[source] std::io::Error),
-    /// A given interaction pair names a node that does not exist.
-    #[error("interaction pair {row}: node {node} does not exist, the tree has {n_nodes} nodes")]
+    /// Given interaction pairs break a rule.
+    #[error("interaction pairs {rows:?}: {fault}")]
+    Interaction {
+        /// Which pairs, from 0, rising: one, or two that cannot be together.
+        rows: Vec<usize>,
+        /// Which rule.
+        fault: PairFault,
+    },
+}
+
+/// What is wrong with given interaction pairs. [V-5]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PairFault {
+    /// One names a node that does not exist.
+    #[error("node {node} does not exist, the tree has {n_nodes} nodes")]
     NoSuchNode {
-        /// Which pair, from 0.
-        row: usize,
         /// The node named.
         node: u32,
         /// Nodes of the tree.
         n_nodes: u32,
     },
-    /// A given interaction pair is a node and itself or its descendant.
-    #[error("interaction pair {row}: node {node_a} holds node {node_b}; a pair needs two subtrees")]
+    /// One is a node and itself or its descendant.
+    #[error("node {node_a} holds node {node_b}; a pair needs two subtrees")]
     Nested {
-        /// Which pair, from 0.
-        row: usize,
         /// One node.
         node_a: u32,
         /// The other.
         node_b: u32,
     },
-    /// Two given interaction pairs cover the same leaf pairs. [V-5]
-    #[error("interaction pairs {first} and {second} cover the same leaf pairs; remove one")]
-    CoveredTwice {
-        /// One of them, from 0.
-        first: usize,
-        /// The other.
-        second: usize,
-    },
+    /// Two cover the same leaf pairs.
+    #[error("they cover the same leaf pairs; remove one")]
+    CoveredTwice,
 }

@@ -154,7 +154,7 @@ mod tests {
         Disc {
             centroid,
             normal: pvmap_geometry::normal::rescale(normal),
-            two_sided: false,
+            two_sided: rng.bool(),
             radius2: r * r,
             limit: Box3::at(centroid).grown(rng.i32(1..=1 + size / 2)),
         }
@@ -166,7 +166,7 @@ mod tests {
         let (mut n_blocked, mut counts) = (0, Counts::default());
         for _ in 0..20_000 {
             // Small sizes make ties, large ones make rounding.
-            let size = 1 << rng.u32(2..22);
+            let size = 1 << rng.u32(2..=22);
             let discs: Vec<Disc> = (0..rng.usize(5..90)).map(|_| disc(&mut rng, size)).collect();
             let n = discs.len() as u32;
             let range = |rng: &mut Rng| {

@@ -87,6 +87,19 @@ const MAX_SIDE: u32 = u64::BITS;
 /// Leaf pairs that are decided together, at most.
 const BLOCK_PAIRS: u32 = 1024;
 
+/// How many node pairs were settled in which way; together all the recursion looked at.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Settled {
+    /// No leaf faces any.
+    pub n_never_facing: u64,
+    /// All face each other and nothing can be between.
+    pub n_clear: u64,
+    /// By all leaf pairs at once.
+    pub n_blocks: u64,
+    /// By child pairs.
+    pub n_opened: u64,
+}
+
 /// Decides node pairs on one thread; its buffers serve one pair after another.
 #[derive(Debug)]
 pub struct Decider<'a> {
@@ -99,13 +112,22 @@ pub struct Decider<'a> {
     sides: [Vec<Ends>; 2],
     /// For each row of the block, a bit a column that nothing has blocked yet.
     open: Vec<u64>,
+    block_pairs: u32,
     /// What it took so far.
     pub counts: Counts,
+    /// How pairs were settled so far.
+    pub settled: Settled,
 }
 
 impl<'a> Decider<'a> {
-    /// Makes a decider.
+    /// Makes a decider that decides up to 1024 leaf pairs at once.
     pub fn new(scene: Scene<'a>) -> Decider<'a> {
+        Decider::with_blocks_of(BLOCK_PAIRS, scene)
+    }
+
+    /// Makes a decider that decides up to so many leaf pairs at once, at least 1. What it finds is
+    /// the same for every size; with small blocks more is left to the proofs about node pairs.
+    pub fn with_blocks_of(block_pairs: u32, scene: Scene<'a>) -> Decider<'a> {
         Decider {
             scene,
             candidates: Vec::new(),
@@ -113,7 +135,9 @@ impl<'a> Decider<'a> {
             recent: Recent::default(),
             sides: [Vec::new(), Vec::new()],
             open: Vec::new(),
+            block_pairs: block_pairs.max(1),
             counts: Counts::default(),
+            settled: Settled::default(),
         }
     }
 
@@ -130,17 +154,21 @@ impl<'a> Decider<'a> {
         let Scene { tree, bounds, .. } = self.scene;
         let facing = bounds::facing(&bounds[a as usize], &bounds[b as usize]);
         if facing == Facing::Never {
+            self.settled.n_never_facing += 1;
             return Status::Invisible;
         }
         let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
-        if n_a.max(n_b) <= MAX_SIDE && n_a * n_b <= BLOCK_PAIRS {
+        if n_a.max(n_b) <= MAX_SIDE && n_a * n_b <= self.block_pairs {
+            self.settled.n_blocks += 1;
             return self.block(a, b, list, links);
         }
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
         let refined = self.refined(a, b, Depth::Level(level), list);
         let status = if refined.is_empty() && facing == Facing::All {
+            self.settled.n_clear += 1;
             Status::Visible
         } else {
+            self.settled.n_opened += 1;
             self.child_pairs(a, b, refined.clone(), links)
         };
         self.candidates.truncate(refined.start);
@@ -301,5 +329,234 @@ impl Block<'_> {
             }
         }
         Status::Partial
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::candidates::occluders;
+    use crate::interaction::sibling_pairs;
+    use crate::tasks::{Plan, PlanLimits};
+    use fastrand::Rng;
+    use pvmap_geometry::{Box3, disc, morton, normal};
+    use pvmap_vmap::records::NO_PARENT;
+    use pvmap_vmap::{Node, Split};
+
+    /// A tree over discs in leaf order, one a leaf.
+    struct Grown {
+        tree: Tree,
+        discs: Vec<Disc>,
+        /// Whether the root's children are bins.
+        is_binned: bool,
+        /// No leaf is above this level: it makes chains of single children.
+        least_level: u8,
+    }
+
+    impl Grown {
+        fn new(mut discs: Vec<Disc>, is_binned: bool, least_level: u8) -> Grown {
+            let key = |d: &Disc| (if is_binned { bin(d) } else { 0 }, code(d));
+            discs.sort_by_key(key);
+            discs.dedup_by_key(|d| key(d));
+            let all = 0..discs.len() as u32;
+            let mut grown = Grown { tree: Tree::default(), discs, is_binned, least_level };
+            grown.add(all, NO_PARENT, 0);
+            grown
+        }
+
+        fn add(&mut self, surfels: Range<u32>, parent: u32, level: u8) {
+            let id = self.tree.nodes.len() as u32;
+            let is_bins = id == 0 && self.is_binned;
+            let is_leaf = !is_bins && surfels.len() == 1 && level >= self.least_level;
+            self.tree.nodes.push(Node {
+                parent,
+                end: 0,
+                first_surfel: surfels.start,
+                end_surfel: surfels.end,
+                n_points: surfels.len() as u64,
+                first_code: 0,
+                level,
+                bin: -1,
+                split: if is_leaf { Split::Leaf } else { Split::Octants },
+                slot: 0,
+            });
+            let mut rest = surfels;
+            while !is_leaf && !rest.is_empty() {
+                let slot = |s: u32| match &self.discs[s as usize] {
+                    disc if is_bins => bin(disc),
+                    disc => morton::octant(code(disc), level + 1),
+                };
+                let end = rest.clone().find(|&s| slot(s) != slot(rest.start)).unwrap_or(rest.end);
+                self.add(rest.start..end, id, if is_bins { 0 } else { level + 1 });
+                rest.start = end;
+            }
+            self.tree.nodes[id as usize].end = self.tree.nodes.len() as u32;
+        }
+    }
+
+    fn bin(disc: &Disc) -> u8 {
+        normal::bin(disc.normal, !disc.two_sided)
+    }
+
+    fn code(disc: &Disc) -> u64 {
+        morton::encode(disc.centroid.map(|c| c as u32))
+    }
+
+    /// Draws discs of a room with furniture, of walls that face each other with or without a
+    /// screen between, or of noise; in a corner of the cube, the far one now and then.
+    fn random_discs(rng: &mut Rng, n: usize) -> Vec<Disc> {
+        let (kind, n_steps) = (rng.u8(..3), 1 << rng.u32(4..9));
+        let step = 1 << rng.u32(1..=22 - u32::ilog2(n_steps as u32));
+        let origin = if rng.bool() { 0 } else { (1 << 22) - n_steps * step };
+        let (screen, two_sided) = (rng.u8(..3), rng.u8(..4));
+        let disc = |_| {
+            let mut p = [0; 3].map(|_| rng.i32(0..n_steps));
+            let mut n = [0; 3].map(|_| rng.i64(-9..=9));
+            let axis = if kind == 0 { rng.usize(..3) } else { 0 };
+            let place = rng.u8(..if kind == 0 { 8 } else { 16 });
+            if kind < 2 {
+                n = [0; 3];
+                (p[axis], n[axis]) = match place {
+                    0 => (n_steps / 2, if rng.bool() { 1 } else { -1 }),
+                    _ if place.is_multiple_of(2) => (0, 1),
+                    _ => (n_steps - 1, -1),
+                };
+                if place == 0 {
+                    let by = if screen == 0 { 31 } else { i32::from(screen) };
+                    p[(axis + 1) % 3] /= by;
+                }
+            }
+            let centroid = p.map(|c| origin + c * step);
+            let r = rng.u64(0..=step as u64 * if kind == 0 { 4 } else { 2 });
+            Disc {
+                centroid,
+                normal: normal::rescale(n),
+                two_sided: two_sided > rng.u8(1..4),
+                radius2: r * r,
+                limit: Box3::at(centroid).grown(rng.i32(1..=step * 2)),
+            }
+        };
+        (0..n).map(disc).collect()
+    }
+
+    /// Says of all leaf pairs whether they are visible: [V-1]…[V-3] as they stand.
+    fn brute_force(discs: &[Disc], profile: Profile) -> Vec<Vec<bool>> {
+        let sees = |a: usize, b: usize| {
+            let mut others = (0..discs.len()).filter(|&k| k != a && k != b);
+            disc::faces_both(&discs[a], &discs[b])
+                && !others.any(|k| disc::blocks(profile, &discs[a], &discs[b], &discs[k]))
+        };
+        let mut table = vec![vec![false; discs.len()]; discs.len()];
+        for a in 0..discs.len() {
+            for b in a + 1..discs.len() {
+                table[a][b] = sees(a, b);
+                table[b][a] = table[a][b];
+            }
+        }
+        table
+    }
+
+    /// Gives the status of a pair and the links below it: [V-4] and [V-5] as they stand.
+    fn expected(tree: &Tree, sees: &[Vec<bool>], (a, b): Pair, links: &mut Vec<Pair>) -> Status {
+        let leaves = |id: u32| {
+            let node = &tree.nodes[id as usize];
+            node.first_surfel as usize..node.end_surfel as usize
+        };
+        let rows = sees[leaves(a)].iter();
+        let n_visible: usize = rows.map(|row| row[leaves(b)].iter().filter(|v| **v).count()).sum();
+        if n_visible == 0 {
+            return Status::Invisible;
+        }
+        if n_visible == leaves(a).len() * leaves(b).len() {
+            return Status::Visible;
+        }
+        for (x, y) in tree.kids(a).flat_map(|x| tree.kids(b).map(move |y| (x, y))) {
+            if expected(tree, sees, (x, y), links) == Status::Visible {
+                links.push((x.min(y), x.max(y)));
+            }
+        }
+        Status::Partial
+    }
+
+    #[test]
+    fn d6_every_way_to_settle_a_pair_is_brute_force() {
+        let n_trees = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 2000 } else { 120 };
+        for block_pairs in [1, 4, 16, BLOCK_PAIRS] {
+            let mut settled = Settled::default();
+            let mut n_statuses = [0; 3];
+            for seed in 0..n_trees {
+                let rng = &mut Rng::with_seed(seed);
+                let n = rng.usize(20..200);
+                let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
+                let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
+                let (tree, discs) = (&grown.tree, grown.discs.as_slice());
+                let bounds = bounds::of_tree(tree, discs, profile);
+                let occluders = &occluders(tree, &bounds);
+                let scene = Scene { tree, discs, bounds: &bounds, occluders, profile };
+                let sees = brute_force(discs, profile);
+                // One decider for all pairs, as in a build: what it remembers is tried too.
+                let mut decider = Decider::with_blocks_of(block_pairs, scene);
+                for (a, b) in sibling_pairs(tree) {
+                    let [mut found, mut right] = [Vec::new(), Vec::new()];
+                    let status = decider.decide(a, b, &mut found);
+                    assert_eq!(status, expected(tree, &sees, (a, b), &mut right), "{seed} {a} {b}");
+                    found.sort_unstable();
+                    right.sort_unstable();
+                    assert_eq!(found, right, "tree {seed}, blocks of {block_pairs}, {a} and {b}");
+                    n_statuses[status as usize] += 1;
+                }
+                settled.n_never_facing += decider.settled.n_never_facing;
+                settled.n_clear += decider.settled.n_clear;
+                settled.n_blocks += decider.settled.n_blocks;
+                settled.n_opened += decider.settled.n_opened;
+            }
+            eprintln!("blocks of {block_pairs}: {settled:?}, {n_statuses:?} pairs of each status");
+            let Settled { n_never_facing, n_clear, n_blocks, n_opened } = settled;
+            let ways = [n_never_facing, n_clear, n_blocks, n_opened];
+            // A tree of some hundred leaves is settled whole in blocks of the usual size.
+            let n_least = if block_pairs < BLOCK_PAIRS { 1000 } else { 0 };
+            assert!(ways.into_iter().chain(n_statuses).all(|n| n >= n_least), "a way not tried");
+        }
+    }
+
+    #[test]
+    fn d6_tasks_put_together_are_brute_force() {
+        let (mut n_above, mut n_tasks) = (0, 0);
+        for seed in 0..48 {
+            let rng = &mut Rng::with_seed(seed);
+            // Only large trees are cut where the tasks are of the usual size.
+            let (n, task_links) = match seed % 8 {
+                0 => (700, u64::MAX),
+                i => (rng.usize(20..200), [1, 9, 80, 700][i as usize % 4]),
+            };
+            let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
+            let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
+            let (tree, discs) = (&grown.tree, grown.discs.as_slice());
+            let bounds = bounds::of_tree(tree, discs, profile);
+            let occluders = &occluders(tree, &bounds);
+            let scene = Scene { tree, discs, bounds: &bounds, occluders, profile };
+            let starts = sibling_pairs(tree);
+            let limits = PlanLimits { task_links, memory_bytes: 1 << 30 };
+            let plan = Plan::new(&scene, &starts, &limits).unwrap();
+            let mut decider = Decider::new(scene);
+            let [mut found, mut right] = [Vec::new(), Vec::new()];
+            let decided = plan.tasks.iter().map(|&(a, b)| decider.decide(a, b, &mut found));
+            let statuses: Vec<Status> = decided.collect();
+            let n_below = found.len();
+            plan.combine(&statuses, &mut found);
+            n_above += found.len() - n_below;
+            n_tasks += plan.tasks.iter().filter(|task| !starts.contains(task)).count();
+            let sees = brute_force(discs, profile);
+            for &pair in &starts {
+                if expected(tree, &sees, pair, &mut right) == Status::Visible {
+                    right.push(pair);
+                }
+            }
+            found.sort_unstable();
+            right.sort_unstable();
+            assert!(found == right, "tree {seed}: {} links, not {}", found.len(), right.len());
+        }
+        eprintln!("{n_tasks} tasks that are no start, {n_above} links above tasks");
+        assert!(n_tasks > 1000 && n_above > 1000, "{n_tasks} {n_above}");
     }
 }

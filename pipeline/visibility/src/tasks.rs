@@ -2,101 +2,161 @@
 //! function of the tree and the configuration; what is above the tasks is put together from their
 //! statuses afterwards.
 
+use std::ops::Range;
+
+use pvmap_store::StoreError;
+use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
 
 use crate::bounds::{self, Facing};
 use crate::pairs::{Gathered, Scene, Status};
 
-/// A plan has at most about so many tasks for each pair it starts from or for the whole: enough
-/// that the last task of the slowest thread is short.
+/// A task has at most one part in so many of all leaf pairs, so that the last task of the slowest
+/// thread is short.
 const TASKS: u64 = 4096;
-/// A task decides at least so many leaf pairs; below that its overhead shows.
+/// A pair of at most so many leaf pairs is not cut further: the overhead of tasks would show.
 const MIN_TASK_PAIRS: u64 = 4096;
+/// A task has at most so many leaf pairs: some 0.1 s, between two looks at whether to stop.
+const MAX_TASK_PAIRS: u64 = 1 << 20;
+
+/// Bytes for each planned pair: itself, a task, their statuses, and the links above the tasks,
+/// which are there twice while they grow.
+const PLANNED_BYTES: usize = size_of::<Planned>() + 3 * size_of::<Pair>() + 2 * size_of::<Status>();
 
 /// A pair of the plan.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 struct Planned {
-    a: u32,
-    b: u32,
+    pair: Pair,
     /// What decides it.
     by: By,
+    /// One past the last of its descendants, which follow it in the plan.
+    end: usize,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 enum By {
-    /// It is a task.
-    Task(usize),
-    /// Its children, which stand in the plan at these places, all after it.
-    Children(Vec<usize>),
+    /// It is the next task.
+    Task,
+    /// Its children.
+    Children,
     /// Nobody faces anybody.
     Facing,
+}
+
+/// What a plan must keep to.
+#[derive(Debug, Clone, Copy)]
+pub struct PlanLimits {
+    /// Most links that a task may find: links are no more than leaf pairs.
+    pub task_links: u64,
+    /// Memory for the plan and what comes of it.
+    pub memory_bytes: u64,
 }
 
 /// All pairs above the tasks, parents before children, and the tasks.
 #[derive(Debug)]
 pub struct Plan {
     planned: Vec<Planned>,
-    roots: Vec<usize>,
-    /// The node pairs to decide.
+    /// The node pairs to decide, in the order of the plan.
     pub tasks: Vec<Pair>,
 }
 
 impl Plan {
-    /// Cuts the recursion from `starts` into tasks of about equal numbers of leaf pairs.
-    pub fn new(scene: &Scene<'_>, starts: &[Pair]) -> Plan {
+    /// Cuts the recursion from `starts` into tasks: the highest pairs that are small enough.
+    ///
+    /// # Errors
+    /// Where the plan needs more memory than it may take.
+    pub fn new(
+        scene: &Scene<'_>,
+        starts: &[Pair],
+        limits: &PlanLimits,
+    ) -> Result<Plan, StoreError> {
         let total: u64 = starts.iter().map(|&(a, b)| n_leaf_pairs(scene, a, b)).sum();
-        let target = (total / TASKS).max(MIN_TASK_PAIRS);
-        let mut plan = Plan { planned: Vec::new(), roots: Vec::new(), tasks: Vec::new() };
-        for &(a, b) in starts {
-            let root = plan.cut(scene, a, b, target);
-            plan.roots.push(root);
-        }
-        plan
+        let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
+        let target = (total / TASKS).max(MIN_TASK_PAIRS).min(most);
+        // Counted first, so that the plan has no spare room and is never there twice.
+        let n_planned: usize = starts.iter().map(|&pair| count(scene, pair, target)).sum();
+        let need_bytes = (n_planned * PLANNED_BYTES) as u64;
+        require("the plan of a build", need_bytes, limits.memory_bytes)?;
+        let (planned, tasks) = (Vec::with_capacity(n_planned), Vec::with_capacity(n_planned));
+        let mut plan = Plan { planned, tasks };
+        starts.iter().for_each(|&pair| plan.cut(scene, pair, target));
+        Ok(plan)
     }
 
     /// Plans a pair; recurses at most 24 deep.
-    fn cut(&mut self, scene: &Scene<'_>, a: u32, b: u32, target: u64) -> usize {
+    fn cut(&mut self, scene: &Scene<'_>, pair: Pair, target: u64) {
         let at = self.planned.len();
-        self.planned.push(Planned { a, b, by: By::Facing });
-        let (bound_a, bound_b) = (&scene.bounds[a as usize], &scene.bounds[b as usize]);
-        if bounds::facing(bound_a, bound_b) == Facing::Never {
-            return at;
+        let by = decided_by(scene, pair, target);
+        self.planned.push(Planned { pair, by, end: at + 1 });
+        match by {
+            By::Facing => {}
+            By::Task => self.tasks.push(pair),
+            By::Children => {
+                child_pairs(scene, pair).for_each(|child| self.cut(scene, child, target));
+                self.planned[at].end = self.planned.len();
+            }
         }
-        self.planned[at].by = if n_leaf_pairs(scene, a, b) <= target {
-            self.tasks.push((a, b));
-            By::Task(self.tasks.len() - 1)
-        } else {
-            let kids_b: Vec<u32> = scene.tree.kids(b).collect();
-            let pairs = scene.tree.kids(a).flat_map(|x| kids_b.iter().map(move |&y| (x, y)));
-            By::Children(pairs.map(|(x, y)| self.cut(scene, x, y, target)).collect())
-        };
-        at
     }
 
     /// Puts the statuses of the tasks together; links above the tasks go to `links`.
     pub fn combine(&self, task_statuses: &[Status], links: &mut Vec<Pair>) {
         let mut statuses = vec![Status::Invisible; self.planned.len()];
+        let mut task_statuses = task_statuses.iter().rev();
         for (at, planned) in self.planned.iter().enumerate().rev() {
-            statuses[at] = match &planned.by {
+            statuses[at] = match planned.by {
                 By::Facing => Status::Invisible,
-                By::Task(task) => task_statuses[*task],
-                By::Children(children) => {
+                By::Task => *task_statuses.next().expect("a status for each task"),
+                By::Children => {
                     let mut gathered = Gathered::new(links);
-                    for &child in children {
-                        let pair = &self.planned[child];
-                        gathered.note(pair.a, pair.b, statuses[child], links);
+                    for child in self.siblings(at + 1..planned.end) {
+                        let (a, b) = self.planned[child].pair;
+                        gathered.note(a, b, statuses[child], links);
                     }
                     gathered.settle(links)
                 }
             };
         }
-        for &root in &self.roots {
-            let Planned { a, b, .. } = self.planned[root];
+        for root in self.siblings(0..self.planned.len()) {
+            let (a, b) = self.planned[root].pair;
             if statuses[root] == Status::Visible {
                 links.push((a.min(b), a.max(b)));
             }
         }
     }
+
+    /// Lists the places of the pairs that stand in a part of the plan but under none of it.
+    fn siblings(&self, part: Range<usize>) -> impl Iterator<Item = usize> + '_ {
+        let next = move |at: usize| Some(at).filter(|&at| at < part.end);
+        std::iter::successors(next(part.start), move |&at| next(self.planned[at].end))
+    }
+}
+
+/// Says how a plan with tasks of at most `target` leaf pairs decides a pair.
+fn decided_by(scene: &Scene<'_>, (a, b): Pair, target: u64) -> By {
+    let (bound_a, bound_b) = (&scene.bounds[a as usize], &scene.bounds[b as usize]);
+    if bounds::facing(bound_a, bound_b) == Facing::Never {
+        By::Facing
+    } else if n_leaf_pairs(scene, a, b) <= target {
+        By::Task
+    } else {
+        By::Children
+    }
+}
+
+/// Counts what a pair takes in a plan; recurses at most 24 deep.
+fn count(scene: &Scene<'_>, pair: Pair, target: u64) -> usize {
+    match decided_by(scene, pair, target) {
+        By::Facing | By::Task => 1,
+        By::Children => {
+            1 + child_pairs(scene, pair).map(|child| count(scene, child, target)).sum::<usize>()
+        }
+    }
+}
+
+/// Lists kids(A)×kids(B). [V-4]
+fn child_pairs<'a>(scene: &Scene<'a>, (a, b): Pair) -> impl Iterator<Item = Pair> + use<'a> {
+    let tree = scene.tree;
+    tree.kids(a).flat_map(move |x| tree.kids(b).map(move |y| (x, y)))
 }
 
 /// Counts the leaf pairs under a node pair.

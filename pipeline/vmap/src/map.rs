@@ -143,9 +143,18 @@ impl<'a> MapView<'a> {
     pub fn verify(&self) -> Result<(), FormatError> {
         self.file.verify()?;
         self.crs()?;
-        self.config()?;
+        self.verify_config()?;
         self.verify_tree()?;
         self.verify_links()
+    }
+
+    fn verify_config(&self) -> Result<(), FormatError> {
+        let text = self.config()?;
+        if canonical_config(text).as_deref() != Some(text) {
+            let section = self.file.section("config", 0)?;
+            return Err(section.broken(0, "not the keys of a map in their canonical form"));
+        }
+        Ok(())
     }
 
     fn verify_tree(&self) -> Result<(), FormatError> {
@@ -224,7 +233,10 @@ impl<'a> MapView<'a> {
                 if b >= self.summary.n_nodes {
                     return Err(self.index.broken(at, format!("a link to node {b} of no tree")));
                 }
-                let (a, b) = (self.node(a)?, self.node(b)?);
+                let (start_b, a, b) = (b, self.node(a)?, self.node(b)?);
+                if start_b < a.end {
+                    return Err(self.index.broken(at, "a link between a node and one below it"));
+                }
                 n_pairs += u128::from(a.end_surfel - a.first_surfel)
                     * u128::from(b.end_surfel - b.first_surfel);
             }
@@ -358,12 +370,37 @@ pub fn config_text(
         Profile::Paper => "paper",
     };
     let mut text = format!(
-        "max_level = {max_level}\nleaf_capacity = {leaf_capacity}\ntree = \"{tree}\"\nprofile = \"{profile}\"\n"
+        "max_level = {max_level}\nleaf_capacity = {leaf_capacity}\n\
+         tree = \"{tree}\"\nprofile = \"{profile}\"\n"
     );
     if let Some((n, digest)) = pairs {
         text.push_str(&format!("interaction_pairs = \"{n}:{digest:032x}\"\n"));
     }
     text
+}
+
+/// Writes a configuration text anew from what its keys say; `None` where they cannot be those of a
+/// map. [F-14]
+fn canonical_config(text: &str) -> Option<String> {
+    let mut lines = text.lines();
+    let max_level = lines.next()?.strip_prefix("max_level = ")?.parse().ok()?;
+    let leaf_capacity = lines.next()?.strip_prefix("leaf_capacity = ")?.parse().ok()?;
+    let shape = match lines.next()? {
+        "tree = \"binned\"" => crate::Shape::Binned,
+        "tree = \"paper\"" => crate::Shape::Paper,
+        _ => return None,
+    };
+    let profile = profile_of(lines.next()?)?;
+    let pairs = match lines.next() {
+        Some(line) => {
+            let value = line.strip_prefix("interaction_pairs = \"")?.strip_suffix('"')?;
+            let (n, digest) = value.split_once(':')?;
+            Some((n.parse().ok()?, u128::from_str_radix(digest, 16).ok()?))
+        }
+        None => None,
+    };
+    let is_level = (1..=morton::MAX_LEVEL).contains(&max_level);
+    is_level.then(|| config_text(max_level, leaf_capacity, shape, profile, pairs))
 }
 
 /// Reads the profile out of a canonical configuration text.

@@ -6,6 +6,7 @@ use pvmap_geometry::morton;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Shape, Split, Tree};
 
+use super::budget::Budget;
 use super::checked_id;
 use super::leaf::LeafPoints;
 use super::points::{LeafPoint, Reader};
@@ -30,6 +31,7 @@ pub(super) struct Rules {
 pub(super) struct Cutter<'a> {
     reader: &'a Reader<'a>,
     rules: Rules,
+    budget: &'a Budget,
     bin: i8,
     tree: Tree,
     /// Node ids of the open cells, root first.
@@ -77,11 +79,17 @@ impl Cell {
 }
 
 impl<'a> Cutter<'a> {
-    /// Starts with no points.
-    pub(super) fn new(reader: &'a Reader<'a>, rules: Rules, bin: i8) -> Cutter<'a> {
+    /// Starts with no points; its tree takes its bytes from `budget`.
+    pub(super) fn new(
+        reader: &'a Reader<'a>,
+        rules: Rules,
+        budget: &'a Budget,
+        bin: i8,
+    ) -> Cutter<'a> {
         Cutter {
             reader,
             rules,
+            budget,
             bin,
             tree: Tree::default(),
             open: Vec::new(),
@@ -92,7 +100,7 @@ impl<'a> Cutter<'a> {
     /// Takes those of the next points that are of its bin.
     ///
     /// # Errors
-    /// Where the octree is damaged, the run was asked to stop, or ids run out.
+    /// Where the octree is damaged, the run was asked to stop, or ids or memory run out.
     pub(super) fn take(&mut self, points: &[LeafPoint]) -> Result<(), OctreeError> {
         let bin = self.bin;
         points.iter().filter(|p| p.bin == bin).try_for_each(|p| self.push(p))
@@ -203,7 +211,7 @@ impl<'a> Cutter<'a> {
         surfel.level = cell.level;
         surfel.node = id;
         self.tree.nodes[id as usize].n_points = surfel.n_points;
-        self.tree.surfels.push(surfel);
+        self.budget.push(&mut self.tree.surfels, surfel)?;
         self.close(id);
         Ok(())
     }
@@ -213,7 +221,7 @@ impl<'a> Cutter<'a> {
         let id = checked_id(self.tree.nodes.len())?;
         // There are at most as many surfels as nodes.
         let first_surfel = self.tree.surfels.len() as u32;
-        self.tree.nodes.push(Node {
+        let node = Node {
             parent: self.open.last().copied().unwrap_or(NO_PARENT),
             end: id + 1,
             first_surfel,
@@ -224,7 +232,8 @@ impl<'a> Cutter<'a> {
             bin: self.bin,
             split,
             slot,
-        });
+        };
+        self.budget.push(&mut self.tree.nodes, node)?;
         Ok(id)
     }
 

@@ -7,6 +7,7 @@
 //!
 //! Start reading at [`cut`].
 
+mod budget;
 mod cells;
 mod color;
 mod leaf;
@@ -19,10 +20,11 @@ use pvmap_geometry::disc::Profile;
 use pvmap_store::Watch;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::root_node;
-use pvmap_vmap::{OctreeView, Shape, Tree};
+use pvmap_vmap::{Node, OctreeView, Shape, Surfel, Tree};
 use rayon::prelude::*;
 
 use crate::OctreeError;
+use budget::Budget;
 use cells::{Cutter, Rules};
 use points::{LeafPoint, Reader, Window};
 
@@ -39,26 +41,34 @@ pub struct CutOptions {
     pub profile: Profile,
 }
 
+/// The memory a cut may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CutMemory {
+    /// For the points that are held. Less than they need costs time, not the cut.
+    pub points_bytes: u64,
+    /// For the tree while it grows and its bins are joined: at worst 2.5 times its own 40 bytes a
+    /// node and 88 a surfel.
+    pub tree_bytes: u64,
+}
+
 /// Cuts the points of an octree into leaves and makes their surfels.
 ///
 /// Nodes come in preorder, surfels in leaf order; an octree without points gives an empty tree. The
 /// tree depends on the points and the options alone. Runs on the current rayon pool: a window of
 /// points is decoded in parallel, then the bins take their points in parallel.
 ///
-/// `memory_bytes` bounds the points that are held; the tree comes on top (40 bytes a node and 88 a
-/// surfel, up to twice that while the bins are joined). A cell of more points than its share holds
-/// (1/8 of the budget among the bins) is read again from the octree: up to six times if it is a
-/// leaf, once a level if it is cut further.
+/// A cell of more points than its share holds (1/5 of `points_bytes` among the bins) is read again
+/// from the octree: up to six times if it is a leaf, once a level if it is cut further.
 ///
 /// # Errors
 /// Where the octree is damaged or its points are not in Morton order, the run was asked to stop,
-/// or the tree has more nodes than ids.
+/// the tree outgrows `tree_bytes`, or it has more nodes than ids.
 ///
-/// Source: DESIGN.md §3, [D-3].
+/// Source: DESIGN.md §3, [D-3], [D-9].
 pub fn cut(
     octree: &OctreeView<'_>,
     options: &CutOptions,
-    memory_bytes: u64,
+    memory: CutMemory,
     watch: &dyn Watch,
 ) -> Result<Tree, OctreeError> {
     let n_points = octree.summary().n_points;
@@ -67,8 +77,10 @@ pub fn cut(
         return Ok(Tree::default());
     }
     let reader = Reader::new(octree, options.shape, watch);
-    let mut cutters = cutters(&reader, options, memory_bytes);
-    let mut window = Window::new(memory_bytes / 4, n_points);
+    let budget = Budget::new(memory.tree_bytes);
+    let mut cutters = cutters(&reader, options, memory.points_bytes, &budget);
+    // The cutters hold the other three fifths.
+    let mut window = Window::new(memory.points_bytes / 5 * 2, n_points);
     while window.advance(&reader)? {
         let blocks = window.blocks();
         cutters
@@ -78,35 +90,47 @@ pub fn cut(
     }
     drop(window);
     let parts = cutters.into_par_iter().map(Cutter::finish);
-    let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?)?;
+    let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?, &budget)?;
     spacing::fill(&mut tree.surfels, options.profile);
     Ok(tree)
 }
 
 /// Makes the cutters of a shape, in the order of their subtrees.
-fn cutters<'a>(reader: &'a Reader<'a>, options: &CutOptions, memory_bytes: u64) -> Vec<Cutter<'a>> {
+fn cutters<'a>(
+    reader: &'a Reader<'a>,
+    options: &CutOptions,
+    points_bytes: u64,
+    budget: &'a Budget,
+) -> Vec<Cutter<'a>> {
     let bins = match options.shape {
         Shape::Paper => -1..=-1,
         Shape::Binned => 0..=6,
     };
-    // While a vector grows there are two, of the size and of twice the size: 3/8 at worst.
-    let held_bytes = memory_bytes / 8 / bins.clone().count() as u64;
+    // While a vector grows there are two, of the size and of twice the size: 3/5 at worst.
+    let held_bytes = points_bytes / 5 / bins.clone().count() as u64;
     let rules = Rules {
         max_level: options.max_level,
         leaf_capacity: options.leaf_capacity,
         shape: options.shape,
         max_held: (held_bytes / size_of::<LeafPoint>() as u64) as usize,
     };
-    bins.map(|bin| Cutter::new(reader, rules, bin)).collect()
+    bins.map(|bin| Cutter::new(reader, rules, budget, bin)).collect()
 }
 
 /// Joins the trees of the cutters: `paper` has but one, `binned` gets a root above them.
-fn join(shape: Shape, n_points: u64, mut parts: Vec<Tree>) -> Result<Tree, OctreeError> {
+fn join(
+    shape: Shape,
+    n_points: u64,
+    mut parts: Vec<Tree>,
+    budget: &Budget,
+) -> Result<Tree, OctreeError> {
     if shape == Shape::Paper {
         return Ok(parts.pop().unwrap_or_default());
     }
     let n_nodes = 1 + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
     let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
+    budget.take::<Node>(n_nodes)?;
+    budget.take::<Surfel>(n_surfels)?;
     let end = checked_id(n_nodes - 1)? + 1;
     let mut tree =
         Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };

@@ -1,10 +1,10 @@
 //! Which side an estimated normal has: what is known beyond the points. Source: DESIGN.md [D-5].
 
-use pvmap_geometry::normal::Normal;
+use pvmap_geometry::normal::{NORMAL_LENGTH, Normal};
 use pvmap_geometry::{Frame, GridPoint};
 
-/// |n_z| below this share of the length says nothing of up and down.
-const UP_LIMIT: i32 = (0.17 * 16384.0) as i32;
+/// |n_z| below so many hundredths of the length says nothing of up and down.
+const UP_PERCENT: i32 = 17;
 
 /// What orients estimated normals.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -56,7 +56,7 @@ impl OrientInFrame {
     pub(crate) fn orient(&self, g: GridPoint, n: Normal) -> (Normal, bool) {
         let side = match self {
             OrientInFrame::Unknown => 0.0,
-            OrientInFrame::Up if i32::from(n[2]).abs() < UP_LIMIT => 0.0,
+            OrientInFrame::Up if 100 * i32::from(n[2]).abs() < UP_PERCENT * NORMAL_LENGTH => 0.0,
             OrientInFrame::Up => f64::from(n[2]),
             OrientInFrame::Sensors(places) => toward_nearest(places, g, n),
         };
@@ -98,5 +98,8 @@ mod tests {
         let up = OrientInFrame::Up;
         assert_eq!(up.orient([0; 3], [16000, 0, -3000]), ([-16000, 0, 3000], true));
         assert_eq!(up.orient([0; 3], [16100, 0, -2784]), ([16100, 0, -2784], false));
+        // 0.17 of 16384 is 2785.28.
+        assert_eq!(up.orient([0; 3], [16145, 0, -2785]), ([16145, 0, -2785], false));
+        assert_eq!(up.orient([0; 3], [16145, 0, -2786]), ([-16145, 0, 2786], true));
     }
 }

@@ -4,7 +4,10 @@ use crate::common::{About, Cut, Parts, frame, grow, random_links, random_points,
 use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_query::{Located, Map, PairAnswer, Place, QueryError, Snap};
-use pvmap_vmap::Shape;
+use pvmap_vmap::{FormatError, MapView, Shape};
+
+/// A binned tree of single points.
+const BINNED: Cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 21, few: 1000 };
 
 /// What a file answers to six places and all pairs of them.
 type Answers = Vec<Result<(Located, Option<PairAnswer>), QueryError>>;
@@ -68,7 +71,7 @@ fn spoil(rng: &mut Rng, bytes: &mut [u8]) {
 #[test]
 fn d12_nonsense_under_right_checksums_never_panics() {
     let mut rng = Rng::with_seed(5);
-    let n_rounds = if std::env::var_os("PVMAP_SLOW").is_some() { 300_000 } else { 6000 };
+    let n_rounds = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 300_000 } else { 6000 };
     let mut n_refused = 0;
     for round in 0..n_rounds {
         let mut parts = parts(&mut rng, round % 3 == 0);
@@ -115,10 +118,77 @@ fn f47_a_way_up_that_never_ends_is_refused() {
     assert!(ask(&file, 8).iter().any(Result::is_err));
 }
 
+/// Says what `verify` finds broken: the section, and what is wrong with it.
+fn damage(file: &[u8]) -> Option<(String, String)> {
+    match MapView::open(file).unwrap().verify() {
+        Ok(()) => None,
+        Err(FormatError::Broken { section, what, .. }) => Some((section, what)),
+        Err(other) => panic!("{other}"),
+    }
+}
+
 #[test]
 fn a_map_without_a_profile_is_refused() {
     let mut rng = Rng::with_seed(9);
     let mut parts = parts(&mut rng, false);
     parts.bytes_mut("config").clear();
     assert!(matches!(Map::open(&parts.seal()), Err(QueryError::Format(_))));
+}
+
+#[test]
+fn f14_verify_refuses_a_configuration_that_is_not_canonical() {
+    let mut rng = Rng::with_seed(11);
+    let tree = grow(&random_points(&mut rng, 40), BINNED);
+    for given in [false, true] {
+        let sound = Parts::new(&tree, &[], About { given, ..About::default() });
+        assert_eq!(damage(&sound.seal()), None);
+        let text = String::from_utf8(sound.clone().bytes_mut("config").clone()).unwrap();
+        let lines: Vec<&str> = text.split_inclusive('\n').collect();
+        let mut forged: Vec<String> = vec![
+            text.to_uppercase(),
+            text.replace("= ", "="),
+            text.replace("max_level = 21", "max_level = 0"),
+            text.replace("max_level = 21", "max_level = 22"),
+            text.replace("max_level = 21", "max_level = 021"),
+            text.replace("leaf_capacity = 1", "leaf_capacity = -1"),
+            text.replace("leaf_capacity = 1", "leaf_capacity = 18446744073709551616"),
+            text.replace("binned", "round"),
+            text.replace("patch", "Patch"),
+            text.trim_end().to_owned(),
+            text.clone() + "\n",
+            text.clone() + "threads = 2\n",
+            text.clone() + "interaction_pairs = \"3\"\n",
+            text.clone() + "interaction_pairs = \"3:5\"\n",
+            lines.iter().rev().copied().collect(),
+        ];
+        // Without one of the keys, and with it twice. The pairs may be absent.
+        for (i, line) in lines.iter().enumerate() {
+            let rest = [&lines[..i], &lines[i + 1..]].concat().concat();
+            forged.extend((i < 4).then_some(rest));
+            forged.push(text.replace(line, &line.repeat(2)));
+        }
+        for config in forged {
+            let mut parts = sound.clone();
+            *parts.bytes_mut("config") = config.clone().into_bytes();
+            let found = damage(&parts.seal()).unwrap_or_else(|| panic!("accepted: {config:?}"));
+            assert_eq!(found.0, "config", "{config:?}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn v5_verify_refuses_a_link_between_a_node_and_one_below_it() {
+    let mut rng = Rng::with_seed(12);
+    let tree = grow(&random_points(&mut rng, 40), BINNED);
+    let mut n_nested = 0;
+    for a in 0..tree.nodes.len() as u32 {
+        let end = tree.nodes[a as usize].end;
+        for b in (a + 1..tree.nodes.len() as u32).step_by(3) {
+            let found = damage(&Parts::new(&tree, &[(a, b)], About::default()).seal());
+            assert_eq!(found.is_some(), b < end, "{a} and {b}: {found:?}");
+            assert!(found.is_none_or(|(_, what)| what.contains("below it")));
+            n_nested += u32::from(b < end);
+        }
+    }
+    assert!(n_nested > 50, "{n_nested}");
 }

@@ -1,5 +1,5 @@
-//! How fast warm answers are: a small run as a test, the real one with `PVMAP_SLOW=1`:
-//! `PVMAP_SLOW=1 cargo test --release -p pvmap-query speed -- --nocapture`.
+//! How fast warm answers are: a small run as a test, the real one with `PVMAP_SLOW_TESTS=1`:
+//! `PVMAP_SLOW_TESTS=1 cargo test --release -p pvmap-query speed -- --nocapture`.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use crate::common::{About, Cut, Parts, frame, grow, random_links, random_points,
 
 #[test]
 fn speed_of_warm_answers() {
-    let slow = std::env::var_os("PVMAP_SLOW").is_some();
+    let slow = std::env::var_os("PVMAP_SLOW_TESTS").is_some();
     let (n_points, n_asked) = if slow { (50_000, 1_000_000) } else { (500, 1_000) };
     let mut rng = Rng::with_seed(10);
     let cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 8, few: 100 };

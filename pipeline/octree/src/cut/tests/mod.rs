@@ -12,11 +12,16 @@ use pvmap_geometry::normal::Normal;
 use pvmap_store::Quiet;
 use pvmap_vmap::{OctreeView, Shape, Tree};
 
-use super::{CutOptions, cut};
+use super::{CutMemory, CutOptions, cut};
 use octree_file::octree_file;
 
 /// Memory that holds everything.
 const PLENTY: u64 = 1 << 30;
+
+/// Memory for any tree, and so much for points.
+fn points_within(points_bytes: u64) -> CutMemory {
+    CutMemory { points_bytes, tree_bytes: PLENTY }
+}
 
 /// A point of a test cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,5 +60,5 @@ fn cut_cloud(cloud: &[TestPoint], options: &CutOptions) -> Tree {
 fn cut_within(cloud: &[TestPoint], options: &CutOptions, memory_bytes: u64) -> Tree {
     let bytes = octree_file(cloud, &[8]);
     let octree = OctreeView::open(&bytes).expect("a sound file");
-    cut(&octree, options, memory_bytes, &Quiet).expect("a sound octree")
+    cut(&octree, options, points_within(memory_bytes), &Quiet).expect("a sound octree")
 }

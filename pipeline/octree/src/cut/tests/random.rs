@@ -11,7 +11,7 @@ use pvmap_vmap::{OctreeView, Shape, Tree};
 
 use super::octree_file::{key_of, octree_file};
 use super::oracle::cut_slowly;
-use super::{PLENTY, TestPoint};
+use super::{PLENTY, TestPoint, points_within};
 use crate::cut::{CutOptions, cut};
 
 const N_CLOUDS: u64 = 3000;
@@ -31,7 +31,8 @@ fn any_cloud_is_cut_as_the_slow_way_cuts_it() {
         for options in random_options(&mut rng) {
             let expected = cut_slowly(&cloud, &DEPTHS, &options);
             for memory_bytes in [0, 3 << 10, 20 << 10, PLENTY] {
-                let found = cut(&octree, &options, memory_bytes, &Quiet).expect("a sound octree");
+                let found = cut(&octree, &options, points_within(memory_bytes), &Quiet);
+                let found = found.expect("a sound octree");
                 assert_eq!(found, expected, "seed {seed}, {options:?}, {memory_bytes} bytes");
             }
             check_routes(&cloud, &expected);

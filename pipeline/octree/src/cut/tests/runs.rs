@@ -11,9 +11,9 @@ use pvmap_vmap::{FormatError, OctreeView, Shape};
 use super::octree_file::{file_in_order, octree_file};
 use super::oracle::cut_slowly;
 use super::random::check_routes;
-use super::{PLENTY, TestPoint, options};
+use super::{PLENTY, TestPoint, options, points_within};
 use crate::OctreeError;
-use crate::cut::{checked_id, cut};
+use crate::cut::{CutMemory, checked_id, cut};
 
 /// Points on the walls of a room with some noise, normals a little off theirs.
 fn room(n_points: usize, seed: u64) -> Vec<TestPoint> {
@@ -46,7 +46,7 @@ fn threads_and_windows_change_nothing() {
         for n_threads in [1, 2, 3, 8] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build();
             for memory_bytes in [0, 1 << 20, PLENTY] {
-                let run = || cut(&octree, &options, memory_bytes, &Quiet);
+                let run = || cut(&octree, &options, points_within(memory_bytes), &Quiet);
                 let tree = pool.as_ref().expect("a pool").install(run);
                 assert_eq!(tree.expect("a sound octree"), expected);
             }
@@ -85,7 +85,8 @@ impl Watch for Listener {
 fn progress_adds_up_and_a_wish_to_stop_is_heard() {
     let bytes = octree_file(&room(20_000, 2), &[8]);
     let octree = OctreeView::open(&bytes).expect("a sound file");
-    let run = |listener: &Listener| cut(&octree, &options(Shape::Binned, 8, 50), 0, listener);
+    let options = options(Shape::Binned, 8, 50);
+    let run = |listener: &Listener| cut(&octree, &options, points_within(0), listener);
     let patient = Listener { stop_after: u64::MAX, ..Listener::default() };
     run(&patient).expect("a sound octree");
     assert_eq!(patient.total.into_inner(), 20_000);
@@ -98,6 +99,25 @@ fn progress_adds_up_and_a_wish_to_stop_is_heard() {
 }
 
 #[test]
+fn d9_a_tree_larger_than_its_memory_is_refused() {
+    let bytes = octree_file(&room(20_000, 5), &[8]);
+    let octree = OctreeView::open(&bytes).expect("a sound file");
+    for shape in [Shape::Paper, Shape::Binned] {
+        let within = |tree_bytes| {
+            let memory = CutMemory { points_bytes: 0, tree_bytes };
+            cut(&octree, &options(shape, 21, 1), memory, &Quiet)
+        };
+        let tree = within(PLENTY).expect("room for it");
+        let tree_bytes = (tree.nodes.len() * 40 + tree.surfels.len() * 88) as u64;
+        within(tree_bytes * 5 / 2 + (1 << 16)).expect("2.5 times its size, and its first rooms");
+        for too_little in [0, tree_bytes / 2, tree_bytes] {
+            let refused = within(too_little).expect_err("no room for it");
+            assert!(matches!(refused, OctreeError::Store(StoreError::Budget { .. })), "{refused}");
+        }
+    }
+}
+
+#[test]
 fn points_out_of_order_are_refused() {
     let mut cloud: Vec<TestPoint> = (0..9000).map(|i| TestPoint::at([2 * i, 0, 0])).collect();
     cloud.swap(100, 8000);
@@ -105,7 +125,7 @@ fn points_out_of_order_are_refused() {
     let octree = OctreeView::open(&bytes).expect("a sound frame around them");
     for shape in [Shape::Paper, Shape::Binned] {
         for memory_bytes in [0, PLENTY] {
-            let refused = cut(&octree, &options(shape, 21, 1), memory_bytes, &Quiet);
+            let refused = cut(&octree, &options(shape, 21, 1), points_within(memory_bytes), &Quiet);
             let refused = refused.expect_err("points are not sorted");
             let OctreeError::Format(FormatError::Broken { section, what, .. }) = refused else {
                 panic!("{refused}");
@@ -128,7 +148,7 @@ fn a_flipped_bit_is_found() {
         let mut bytes = sound.clone();
         bytes[at] ^= 4;
         let octree = OctreeView::open(&bytes).expect("only points are damaged");
-        let refused = cut(&octree, &options(Shape::Binned, 8, 50), PLENTY, &Quiet);
+        let refused = cut(&octree, &options(Shape::Binned, 8, 50), points_within(PLENTY), &Quiet);
         let refused = refused.expect_err("damage");
         assert!(matches!(refused, OctreeError::Format(FormatError::Checksum { .. })));
     }
@@ -159,7 +179,8 @@ fn cut_speed() {
             let pool = pool.expect("a pool");
             for memory_bytes in [64 << 20, PLENTY] {
                 let start = Instant::now();
-                let run = || cut(&octree, &options(shape, 8, 50), memory_bytes, &Quiet);
+                let run =
+                    || cut(&octree, &options(shape, 8, 50), points_within(memory_bytes), &Quiet);
                 let tree = pool.install(run).expect("a sound octree");
                 let seconds = start.elapsed().as_secs_f64();
                 eprintln!(
