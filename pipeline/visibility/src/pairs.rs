@@ -12,7 +12,7 @@ use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
-use crate::candidates::{Corridor, Depth, Occluder, refine};
+use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
 use crate::kernel::{Blockers, Counts, Recent};
 use crate::lanes::{Ends, Tile, WIDTH};
 
@@ -36,8 +36,8 @@ pub struct Scene<'a> {
     pub discs: &'a [Disc],
     /// Bounds of every node.
     pub bounds: &'a [Bounds],
-    /// Every node as the culling sees it.
-    pub occluders: &'a [Occluder],
+    /// All nodes as the culling sees them.
+    pub families: &'a [Family],
     /// How discs block.
     pub profile: Profile,
 }
@@ -92,7 +92,7 @@ const BLOCK_PAIRS: u32 = 1024;
 pub struct Decider<'a> {
     scene: Scene<'a>,
     /// Candidate lists of the open pairs, one behind the other.
-    candidates: Vec<u32>,
+    candidates: Vec<Kept>,
     blockers: Blockers,
     recent: Recent,
     /// The rows and the columns of the block at hand, by eights.
@@ -119,9 +119,8 @@ impl<'a> Decider<'a> {
 
     /// Decides a pair of disjoint subtrees from scratch; links go to `links` in no order.
     pub fn decide(&mut self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
-        self.candidates.clear();
-        self.candidates.push(0);
-        self.pair(a, b, 0..1, links)
+        candidates::everything(self.scene.families, &mut self.candidates);
+        self.pair(a, b, 0..self.candidates.len(), links)
     }
 
     /// Decides a pair given a list that holds all its blockers.
@@ -154,10 +153,10 @@ impl<'a> Decider<'a> {
 
     /// Refines a list for a pair; the caller gives the room back.
     fn refined(&mut self, a: u32, b: u32, depth: Depth, list: Range<usize>) -> Range<usize> {
-        let Scene { bounds, occluders, .. } = self.scene;
+        let Scene { bounds, families, .. } = self.scene;
         let start = self.candidates.len();
         let corridor = Corridor::new(&bounds[a as usize], &bounds[b as usize]);
-        self.counts.n_candidates += refine(occluders, &corridor, depth, &mut self.candidates, list);
+        self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
         start..self.candidates.len()
     }
 
@@ -231,10 +230,10 @@ impl<'a> Decider<'a> {
 
     /// Closes what a list blocks that holds all blockers of the block.
     fn try_candidates(&mut self, list: Range<usize>) {
-        let Scene { tree, discs, bounds, profile, .. } = self.scene;
+        let Scene { tree, discs, bounds, families, profile } = self.scene;
         let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        let leaves = self.candidates[list].iter();
-        let reaches = leaves.map(|&k| (surfel(k), bounds[k as usize].blockers));
+        let leaves = candidates::nodes_of(families, &self.candidates[list]);
+        let reaches = leaves.map(|k| (surfel(k), bounds[k as usize].blockers));
         self.blockers.load(discs, reaches);
         self.counts.n_loaded += self.blockers.len() as u64;
         if self.blockers.is_empty() {
