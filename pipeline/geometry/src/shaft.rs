@@ -68,16 +68,12 @@ impl Shaft {
             // The slice is not above the box, and not below it.
             let below = self.lower[i].reaches(f64::from(other.max[i]) + SLACK);
             let above = self.upper[i].reaches(f64::from(other.min[i]) - SLACK);
-            if self.lower[i].moves_up() {
-                last = less(last, below);
-            } else {
-                first = greater(first, below);
-            }
-            if self.upper[i].moves_up() {
-                first = greater(first, above);
-            } else {
-                last = less(last, above);
-            }
+            let (up, down) = (f64::INFINITY, f64::NEG_INFINITY);
+            let (rises, climbs) = (self.lower[i].moves_up(), self.upper[i].moves_up());
+            last = less(last, if rises { below } else { up });
+            first = greater(first, if rises { down } else { below });
+            last = less(last, if climbs { up } else { above });
+            first = greater(first, if climbs { above } else { down });
         }
         first > last
     }

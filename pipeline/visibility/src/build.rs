@@ -18,7 +18,7 @@ use pvmap_vmap::{MapSummary, Node, Shape, Surfel, Tree};
 use rayon::prelude::*;
 
 use crate::bounds;
-use crate::candidates::{self, Occluder};
+use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
 use crate::interaction::{self, checked_pairs, sibling_pairs};
 use crate::kernel::Counts;
@@ -100,8 +100,8 @@ pub fn build(
     let discs: Vec<Disc> =
         (0..tree.surfels.len() as u32).into_par_iter().map(|s| tree.disc(s, profile)).collect();
     let bounds = bounds::of_tree(tree, &discs, profile);
-    let occluders = candidates::occluders(tree, &bounds);
-    let scene = Scene { tree, discs: &discs, bounds: &bounds, occluders: &occluders, profile };
+    let families = candidates::families(tree, &bounds);
+    let scene = Scene { tree, discs: &discs, bounds: &bounds, families: &families, profile };
     let shares = Shares::of(options.memory_bytes - fixed);
     let plan = Plan::new(&scene, &starts, &shares.plan)?;
     let links = LinkSink::new(options, &shares);
@@ -207,13 +207,15 @@ impl LinkSink {
 
 /// What a build holds besides its links and their plan.
 fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
-    let a_node = size_of::<Node>() + size_of::<bounds::Bounds>() + size_of::<Occluder>();
+    let a_node = size_of::<Node>() + size_of::<bounds::Bounds>();
+    let n_inner = tree.nodes.len().saturating_sub(tree.surfels.len());
     let a_leaf = size_of::<Surfel>() + size_of::<Disc>() + size_of::<bounds::Bounds>();
     let starts = match given {
         Some(given) => given.len() * interaction::GIVEN_BYTES,
         None => interaction::n_sibling_pairs(tree) * size_of::<Pair>(),
     };
-    (tree.nodes.len() * a_node + tree.surfels.len() * a_leaf + starts) as u64
+    let families = n_inner * size_of::<Family>();
+    (tree.nodes.len() * a_node + families + tree.surfels.len() * a_leaf + starts) as u64
 }
 
 /// Writes the map from the tree and the spilled links.

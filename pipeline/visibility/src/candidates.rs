@@ -1,46 +1,123 @@
 //! Candidate occluders of a node pair: the nodes that may hold a blocker, fewer and smaller as the
 //! pair shrinks. What is dropped is proved not to block any segment of the pair.
+//!
+//! Nodes are asked together with their siblings, a lane each ([`Family`]).
 
 use std::ops::Range;
 
+use multiversion::multiversion;
 use pvmap_geometry::Box3;
 use pvmap_geometry::shaft::Shaft;
 use pvmap_vmap::Tree;
 
 use crate::bounds::Bounds;
+use crate::lanes::{WIDTH, all_bits, bits, greater, less, mask_of};
 
-/// What the culling asks of a node, in one cache line: it is asked some hundred million times.
-#[derive(Debug, Clone, Copy)]
-#[repr(align(64))]
-pub struct Occluder {
-    /// Of every place at which a surfel under the node can block.
-    blockers: Box3,
-    /// Least and greatest of each component of the normals.
-    normals: ([i16; 3], [i16; 3]),
-    /// Bounds of n·c.
-    offset: (i64, i64),
-    /// One past the last node of the subtree.
-    end: u32,
+/// What the culling asks of the children of a node: it is asked some hundred million times.
+#[derive(Debug, Clone)]
+pub struct Family {
+    /// Of every place at which a surfel under the child can block.
+    low: [[i32; WIDTH]; 3],
+    high: [[i32; WIDTH]; 3],
+    /// Least and greatest of each component of the normals under it.
+    least: [[i16; WIDTH]; 3],
+    greatest: [[i16; WIDTH]; 3],
+    /// Bounds of n·c over the surfels under it.
+    offset: [[f64; WIDTH]; 2],
+    /// The children.
+    nodes: [u32; WIDTH],
+    /// The family of each child, nothing of a leaf.
+    families: [u32; WIDTH],
+    /// Their level, one for all.
     level: u8,
-    is_leaf: bool,
-    can_block: bool,
+    /// Children that are leaves, and children under which some surfel can block, a bit each.
+    leaves: u8,
+    blockers: u8,
 }
 
-/// Makes the occluders of all nodes, in node order.
-pub fn occluders(tree: &Tree, bounds: &[Bounds]) -> Vec<Occluder> {
-    tree.nodes
-        .iter()
-        .zip(bounds)
-        .map(|(node, bound)| Occluder {
-            blockers: bound.blockers,
-            normals: bound.normals(),
-            offset: bound.offsets(),
-            end: node.end,
-            level: node.level,
-            is_leaf: node.is_leaf(),
-            can_block: bound.can_block(),
-        })
-        .collect()
+impl Family {
+    const EMPTY: Family = Family {
+        low: [[0; WIDTH]; 3],
+        high: [[0; WIDTH]; 3],
+        least: [[0; WIDTH]; 3],
+        greatest: [[0; WIDTH]; 3],
+        offset: [[0.0; WIDTH]; 2],
+        nodes: [0; WIDTH],
+        families: [0; WIDTH],
+        level: 0,
+        leaves: 0,
+        blockers: 0,
+    };
+
+    fn set(&mut self, k: usize, node: u32, bounds: &Bounds) {
+        self.nodes[k] = node;
+        if !bounds.can_block() {
+            return;
+        }
+        let (least, greatest) = bounds.normals();
+        for i in 0..3 {
+            self.low[i][k] = bounds.blockers.min[i];
+            self.high[i][k] = bounds.blockers.max[i];
+            self.least[i][k] = least[i];
+            self.greatest[i][k] = greatest[i];
+        }
+        let (near, far) = bounds.offsets();
+        (self.offset[0][k], self.offset[1][k]) = (near as f64, far as f64);
+        self.blockers |= 1 << k;
+    }
+
+    #[inline(always)]
+    fn box_of(&self, k: usize) -> Box3 {
+        Box3 {
+            min: [self.low[0][k], self.low[1][k], self.low[2][k]],
+            max: [self.high[0][k], self.high[1][k], self.high[2][k]],
+        }
+    }
+}
+
+/// Some children of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Kept {
+    family: u32,
+    /// A bit a child.
+    children: u8,
+}
+
+/// Makes the families of all inner nodes, the root's first, in node order.
+pub fn families(tree: &Tree, bounds: &[Bounds]) -> Vec<Family> {
+    let mut of_node = Vec::with_capacity(tree.nodes.len());
+    let mut n_families = 0;
+    for node in &tree.nodes {
+        of_node.push(n_families);
+        n_families += u32::from(!node.is_leaf());
+    }
+    let inner = (0..tree.nodes.len() as u32).filter(|&id| !tree.nodes[id as usize].is_leaf());
+    let family = |id| {
+        let mut family = Family::EMPTY;
+        for (k, child) in tree.children(id).enumerate() {
+            let node = &tree.nodes[child as usize];
+            family.set(k, child, &bounds[child as usize]);
+            family.families[k] = of_node[child as usize];
+            family.level = node.level;
+            family.leaves |= u8::from(node.is_leaf()) << k;
+        }
+        family
+    };
+    inner.map(family).collect()
+}
+
+/// The list of a pair of which nothing is known yet: everything.
+pub fn everything(families: &[Family], list: &mut Vec<Kept>) {
+    list.clear();
+    list.extend(families.first().map(|_| Kept { family: 0, children: u8::MAX }));
+}
+
+/// Walks the nodes of a list.
+pub fn nodes_of<'a>(families: &'a [Family], list: &'a [Kept]) -> impl Iterator<Item = u32> + 'a {
+    list.iter().flat_map(|kept| {
+        let family = &families[kept.family as usize];
+        bits(kept.children.into()).map(|k| family.nodes[k])
+    })
 }
 
 /// The two ends of all segments of a pair, and what can lie between them.
@@ -58,54 +135,48 @@ impl Corridor {
         Corridor { ends: [Doubled::new(&a.centroids), Doubled::new(&b.centroids)], shaft }
     }
 
-    /// Proves that no surfel under a node blocks any segment.
+    /// Finds the children under which some surfel may block a segment, a bit each: the others are
+    /// off the shaft, or have all their planes beside both ends.
     #[inline(always)]
-    fn excludes(&self, node: &Occluder) -> bool {
-        self.shaft.misses(&node.blockers) || self.never_between(node)
-    }
-
-    /// Proves that both ends lie on one side of every plane under a node. Every number is an
-    /// integer below 2^44, so the f64 arithmetic is exact.
-    #[inline(always)]
-    fn never_between(&self, node: &Occluder) -> bool {
-        let [a, b] = &self.ends;
-        let ((low_a, high_a), (low_b, high_b)) = if node.normals.0 == node.normals.1 {
-            (beside_plane(node, a), beside_plane(node, b))
-        } else {
-            let blockers = Doubled::new(&node.blockers);
-            (beside_planes(node, &blockers, a), beside_planes(node, &blockers, b))
-        };
-        (low_a >= 0.0 && low_b >= 0.0) || (high_a <= 0.0 && high_b <= 0.0)
+    fn admits(&self, family: &Family) -> u8 {
+        let mut admitted = [0; WIDTH];
+        for k in 0..WIDTH {
+            let blockers = family.box_of(k);
+            let (low_a, high_a) = beside(family, k, &blockers, &self.ends[0]);
+            let (low_b, high_b) = beside(family, k, &blockers, &self.ends[1]);
+            let above = (low_a >= 0.0) & (low_b >= 0.0);
+            let below = (high_a <= 0.0) & (high_b <= 0.0);
+            admitted[k] = all_bits(!(above | below | self.shaft.misses(&blockers)));
+        }
+        mask_of(&admitted) as u8 & family.blockers
     }
 }
 
-/// Bounds n·x - n·c, four times over, where all planes under a node have one normal.
+/// Bounds n·(x - c), four times over, for the places x of an end and the planes under a child: by n·c,
+/// which is sharp where the normals are alike, and by the directions from the child to the end (every
+/// centroid is where its disc can block), which is sharp where they are not. Every number is an
+/// integer below 2^44, so the f64 arithmetic is exact.
 #[inline(always)]
-fn beside_plane(node: &Occluder, end: &Doubled) -> (f64, f64) {
-    let (middle, half) = along(node.normals, end);
-    let (near, far) = node.offset;
-    (middle - half - 4.0 * far as f64, middle + half - 4.0 * near as f64)
+fn beside(family: &Family, k: usize, blockers: &Box3, end: &Doubled) -> (f64, f64) {
+    let from = Doubled::new(blockers);
+    let away = Doubled {
+        sum: [end.sum[0] - from.sum[0], end.sum[1] - from.sum[1], end.sum[2] - from.sum[2]],
+        size: [end.size[0] + from.size[0], end.size[1] + from.size[1], end.size[2] + from.size[2]],
+    };
+    let (place, place_half) = along(family, k, end);
+    let (direction, direction_half) = along(family, k, &away);
+    let low = place - place_half - 4.0 * family.offset[1][k];
+    let high = place + place_half - 4.0 * family.offset[0][k];
+    (greater(low, direction - direction_half), less(high, direction + direction_half))
 }
 
-/// Bounds n·(x - c), four times over, by the directions from a node to the end.
+/// Bounds n·v, four times over, for the interval of normals under a child and a box of vectors; gives
+/// the middle and the half range.
 #[inline(always)]
-fn beside_planes(node: &Occluder, blockers: &Doubled, end: &Doubled) -> (f64, f64) {
-    let mut away = *end;
-    for i in 0..3 {
-        away.sum[i] -= blockers.sum[i];
-        away.size[i] += blockers.size[i];
-    }
-    let (middle, half) = along(node.normals, &away);
-    (middle - half, middle + half)
-}
-
-/// Bounds n·v, four times over, for an interval of normals and a box of vectors; gives the middle
-/// and the half range.
-#[inline(always)]
-fn along((least, greatest): ([i16; 3], [i16; 3]), v: &Doubled) -> (f64, f64) {
+fn along(family: &Family, k: usize, v: &Doubled) -> (f64, f64) {
     let (mut middle, mut half) = (0.0, 0.0);
     for i in 0..3 {
-        let (low, high) = (f64::from(least[i]), f64::from(greatest[i]));
+        let (low, high) = (f64::from(family.least[i][k]), f64::from(family.greatest[i][k]));
         let (n, spread) = (high + low, high - low);
         middle += n * v.sum[i];
         half += n.abs() * v.size[i] + spread * (v.sum[i].abs() + v.size[i]);
@@ -126,10 +197,12 @@ impl Doubled {
     /// Doubles a box. Its corners are below 2^24.
     #[inline(always)]
     fn new(b: &Box3) -> Doubled {
-        let (low, high) = (b.min, b.max);
+        // As floats from the start: whole numbers that may overflow are not added in vectors.
+        let low = [f64::from(b.min[0]), f64::from(b.min[1]), f64::from(b.min[2])];
+        let high = [f64::from(b.max[0]), f64::from(b.max[1]), f64::from(b.max[2])];
         Doubled {
-            sum: [(high[0] + low[0]).into(), (high[1] + low[1]).into(), (high[2] + low[2]).into()],
-            size: [(high[0] - low[0]).into(), (high[1] - low[1]).into(), (high[2] - low[2]).into()],
+            sum: [high[0] + low[0], high[1] + low[1], high[2] + low[2]],
+            size: [high[0] - low[0], high[1] - low[1], high[2] - low[2]],
         }
     }
 }
@@ -145,35 +218,45 @@ pub enum Depth {
 
 /// Refines a list for a smaller pair: drops what cannot block, opens what is larger than `depth`
 /// asks, and appends the rest to `list` (the old list is `list[from]`). Gives the nodes tested.
+#[multiversion(targets = "simd")]
 pub fn refine(
-    nodes: &[Occluder],
+    families: &[Family],
     corridor: &Corridor,
     depth: Depth,
-    list: &mut Vec<u32>,
+    list: &mut Vec<Kept>,
     from: Range<usize>,
 ) -> u64 {
     let mut n_tested = 0;
+    // What is opened waits here; a tree is at most 24 deep, each level leaves at most 7 behind.
+    let mut opened = [0u32; 8 * 24];
     for i in from {
-        let root = list[i];
-        // A subtree is a range of ids: walk it, leaping over what is dropped or kept whole.
-        let (mut id, end) = (root, nodes[root as usize].end);
-        while id < end {
-            let node = &nodes[id as usize];
-            n_tested += 1;
-            if !node.can_block || corridor.excludes(node) {
-                id = node.end;
-                continue;
-            }
+        let Kept { family: root, children } = list[i];
+        let (mut id, mut asked, mut n_opened) = (root, children, 0);
+        loop {
+            let family = &families[id as usize];
+            n_tested += u64::from(asked.count_ones());
+            let admitted = corridor.admits(family) & asked;
             let small = match depth {
-                Depth::Level(level) => node.level > level,
+                Depth::Level(level) => family.level > level,
                 Depth::Leaves => false,
             };
-            if node.is_leaf || small {
-                list.push(id);
-                id = node.end;
-            } else {
-                id += 1;
+            let kept = if small { admitted } else { admitted & family.leaves };
+            if kept != 0 {
+                list.push(Kept { family: id, children: kept });
             }
+            // The last child is opened first: push them backwards.
+            let mut open = admitted & !kept;
+            while open != 0 {
+                let k = 7 - open.leading_zeros() as usize;
+                open &= !(1 << k);
+                opened[n_opened] = family.families[k];
+                n_opened += 1;
+            }
+            if n_opened == 0 {
+                break;
+            }
+            n_opened -= 1;
+            (id, asked) = (opened[n_opened], u8::MAX);
         }
     }
     n_tested
@@ -186,12 +269,12 @@ mod tests {
     use fastrand::Rng;
     use pvmap_geometry::disc::{self, Disc, Profile};
 
-    /// A root over leaf nodes, one a disc: enough of a tree to make an occluder of a group.
-    fn occluder(discs: &[Disc], profile: Profile) -> (Occluder, Bounds) {
+    /// A family with one child, over a disc each: enough of a tree to cull a group.
+    fn family(discs: &[Disc], profile: Profile) -> (Family, Bounds) {
         let bound = bounds::of_group(discs, profile);
-        let node = pvmap_vmap::tree::root_node(pvmap_vmap::Shape::Paper, 1);
-        let tree = Tree { nodes: vec![node], surfels: Vec::new() };
-        (occluders(&tree, &[bound])[0], bound)
+        let mut family = Family::EMPTY;
+        family.set(5, 1, &bound);
+        (family, bound)
     }
 
     #[test]
@@ -202,10 +285,9 @@ mod tests {
             let size = [16, 1 << 22][i % 2];
             let [a, b, k] = [0; 3].map(|_| bounds::tests::group(&mut rng, size));
             for profile in [Profile::Paper, Profile::Patch] {
-                let [(_, bound_a), (_, bound_b)] = [&a, &b].map(|g| occluder(g, profile));
-                let (node, _) = occluder(&k, profile);
-                let is_excluded =
-                    !node.can_block || Corridor::new(&bound_a, &bound_b).excludes(&node);
+                let [(_, bound_a), (_, bound_b)] = [&a, &b].map(|g| family(g, profile));
+                let (children, _) = family(&k, profile);
+                let is_excluded = Corridor::new(&bound_a, &bound_b).admits(&children) == 0;
                 let mut segments = a.iter().flat_map(|x| b.iter().map(move |y| (x, y)));
                 let is_blocked =
                     segments.any(|(x, y)| k.iter().any(|k| disc::blocks(profile, x, y, k)));

@@ -496,18 +496,18 @@ fn dot(u: [f64; 3], v: [f64; 3]) -> f64 {
 }
 
 #[inline(always)]
-fn greater(a: f64, b: f64) -> f64 {
+pub(crate) fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
 #[inline(always)]
-fn less(a: f64, b: f64) -> f64 {
+pub(crate) fn less(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
 /// Packs lanes of all bits or none into a mask, the first lowest.
 #[inline(always)]
-fn mask_of(lanes: &[u64; WIDTH]) -> u64 {
+pub(crate) fn mask_of(lanes: &[u64; WIDTH]) -> u64 {
     let mut mask = 0;
     for (k, lane) in lanes.iter().enumerate() {
         mask |= lane & (1 << k);
@@ -517,7 +517,7 @@ fn mask_of(lanes: &[u64; WIDTH]) -> u64 {
 
 /// Gives all bits set for true.
 #[inline(always)]
-fn all_bits(flag: bool) -> u64 {
+pub(crate) fn all_bits(flag: bool) -> u64 {
     if flag { u64::MAX } else { 0 }
 }
 

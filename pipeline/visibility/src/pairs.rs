@@ -12,7 +12,7 @@ use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
-use crate::candidates::{Corridor, Depth, Occluder, refine};
+use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
 use crate::kernel::{Blockers, Counts, Recent};
 use crate::lanes::{Ends, Tile, WIDTH};
 
@@ -36,8 +36,8 @@ pub struct Scene<'a> {
     pub discs: &'a [Disc],
     /// Bounds of every node.
     pub bounds: &'a [Bounds],
-    /// Every node as the culling sees it.
-    pub occluders: &'a [Occluder],
+    /// All nodes as the culling sees them.
+    pub families: &'a [Family],
     /// How discs block.
     pub profile: Profile,
 }
@@ -105,7 +105,7 @@ pub struct Settled {
 pub struct Decider<'a> {
     scene: Scene<'a>,
     /// Candidate lists of the open pairs, one behind the other.
-    candidates: Vec<u32>,
+    candidates: Vec<Kept>,
     blockers: Blockers,
     recent: Recent,
     /// The rows and the columns of the block at hand, by eights.
@@ -143,9 +143,8 @@ impl<'a> Decider<'a> {
 
     /// Decides a pair of disjoint subtrees from scratch; links go to `links` in no order.
     pub fn decide(&mut self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
-        self.candidates.clear();
-        self.candidates.push(0);
-        self.pair(a, b, 0..1, links)
+        candidates::everything(self.scene.families, &mut self.candidates);
+        self.pair(a, b, 0..self.candidates.len(), links)
     }
 
     /// Decides a pair given a list that holds all its blockers.
@@ -182,10 +181,10 @@ impl<'a> Decider<'a> {
 
     /// Refines a list for a pair; the caller gives the room back.
     fn refined(&mut self, a: u32, b: u32, depth: Depth, list: Range<usize>) -> Range<usize> {
-        let Scene { bounds, occluders, .. } = self.scene;
+        let Scene { bounds, families, .. } = self.scene;
         let start = self.candidates.len();
         let corridor = Corridor::new(&bounds[a as usize], &bounds[b as usize]);
-        self.counts.n_candidates += refine(occluders, &corridor, depth, &mut self.candidates, list);
+        self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
         start..self.candidates.len()
     }
 
@@ -259,10 +258,10 @@ impl<'a> Decider<'a> {
 
     /// Closes what a list blocks that holds all blockers of the block.
     fn try_candidates(&mut self, list: Range<usize>) {
-        let Scene { tree, discs, bounds, profile, .. } = self.scene;
+        let Scene { tree, discs, bounds, families, profile } = self.scene;
         let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        let leaves = self.candidates[list].iter();
-        let reaches = leaves.map(|&k| (surfel(k), bounds[k as usize].blockers));
+        let leaves = candidates::nodes_of(families, &self.candidates[list]);
+        let reaches = leaves.map(|k| (surfel(k), bounds[k as usize].blockers));
         self.blockers.load(discs, reaches);
         self.counts.n_loaded += self.blockers.len() as u64;
         if self.blockers.is_empty() {
@@ -335,7 +334,7 @@ impl Block<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::candidates::occluders;
+    use crate::candidates::families;
     use crate::interaction::sibling_pairs;
     use crate::tasks::{Plan, PlanLimits};
     use fastrand::Rng;
@@ -491,8 +490,8 @@ mod tests {
                 let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
                 let (tree, discs) = (&grown.tree, grown.discs.as_slice());
                 let bounds = bounds::of_tree(tree, discs, profile);
-                let occluders = &occluders(tree, &bounds);
-                let scene = Scene { tree, discs, bounds: &bounds, occluders, profile };
+                let families = &families(tree, &bounds);
+                let scene = Scene { tree, discs, bounds: &bounds, families, profile };
                 let sees = brute_force(discs, profile);
                 // One decider for all pairs, as in a build: what it remembers is tried too.
                 let mut decider = Decider::with_blocks_of(block_pairs, scene);
@@ -533,8 +532,8 @@ mod tests {
             let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
             let (tree, discs) = (&grown.tree, grown.discs.as_slice());
             let bounds = bounds::of_tree(tree, discs, profile);
-            let occluders = &occluders(tree, &bounds);
-            let scene = Scene { tree, discs, bounds: &bounds, occluders, profile };
+            let families = &families(tree, &bounds);
+            let scene = Scene { tree, discs, bounds: &bounds, families, profile };
             let starts = sibling_pairs(tree);
             let limits = PlanLimits { task_links, memory_bytes: 1 << 30 };
             let plan = Plan::new(&scene, &starts, &limits).unwrap();
