@@ -156,7 +156,7 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     let c = &built.report.counts;
     writeln!(
         out,
-        "  work      {} node pairs, {} candidates, {} segments ({} by memory),\n            \
+        "  work      {} node pairs, {} candidates, {} segments ({} by discs met lately),\n            \
          {} discs loaded, {} met, {} settled exactly",
         si(c.n_node_pairs as f64),
         si(c.n_candidates as f64),
