@@ -157,7 +157,7 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     writeln!(
         out,
         "  work      {} node pairs, {} candidates, {} segments ({} by discs met lately),\n            \
-         {} discs loaded, {} met, {} settled exactly",
+         {} discs loaded, {} tests of 16 segments, {} settled exactly",
         si(c.n_node_pairs as f64),
         si(c.n_candidates as f64),
         si(c.n_segments as f64),

@@ -11,7 +11,10 @@ use pvmap_geometry::shaft::Shaft;
 use pvmap_vmap::Tree;
 
 use crate::bounds::Bounds;
-use crate::lanes::{WIDTH, all_bits, bits, greater, less, mask_of};
+use crate::lanes::{all_bits, bits, greater, less, mask_of};
+
+/// Children of a node at most.
+const WIDTH: usize = 8;
 
 /// What the culling asks of the children of a node: it is asked some hundred million times.
 #[derive(Debug, Clone)]
@@ -24,10 +27,8 @@ pub struct Family {
     greatest: [[i16; WIDTH]; 3],
     /// Bounds of n·c over the surfels under it.
     offset: [[f64; WIDTH]; 2],
-    /// The children.
-    nodes: [u32; WIDTH],
-    /// The family of each child, nothing of a leaf.
-    families: [u32; WIDTH],
+    /// The family of each child, of a leaf the surfel.
+    below: [u32; WIDTH],
     /// Their level, one for all.
     level: u8,
     /// Children that are leaves, and children under which some surfel can block, a bit each.
@@ -42,15 +43,14 @@ impl Family {
         least: [[0; WIDTH]; 3],
         greatest: [[0; WIDTH]; 3],
         offset: [[0.0; WIDTH]; 2],
-        nodes: [0; WIDTH],
-        families: [0; WIDTH],
+        below: [0; WIDTH],
         level: 0,
         leaves: 0,
         blockers: 0,
     };
 
-    fn set(&mut self, k: usize, node: u32, bounds: &Bounds) {
-        self.nodes[k] = node;
+    fn set(&mut self, k: usize, below: u32, bounds: &Bounds) {
+        self.below[k] = below;
         if !bounds.can_block() {
             return;
         }
@@ -96,8 +96,8 @@ pub fn families(tree: &Tree, bounds: &[Bounds]) -> Vec<Family> {
         let mut family = Family::EMPTY;
         for (k, child) in tree.children(id).enumerate() {
             let node = &tree.nodes[child as usize];
-            family.set(k, child, &bounds[child as usize]);
-            family.families[k] = of_node[child as usize];
+            let below = if node.is_leaf() { node.first_surfel } else { of_node[child as usize] };
+            family.set(k, below, &bounds[child as usize]);
             family.level = node.level;
             family.leaves |= u8::from(node.is_leaf()) << k;
         }
@@ -112,11 +112,14 @@ pub fn everything(families: &[Family], list: &mut Vec<Kept>) {
     list.extend(families.first().map(|_| Kept { family: 0, children: u8::MAX }));
 }
 
-/// Walks the nodes of a list.
-pub fn nodes_of<'a>(families: &'a [Family], list: &'a [Kept]) -> impl Iterator<Item = u32> + 'a {
+/// Walks the surfels of a list of leaves, each with the box of all places at which it can block.
+pub fn blockers_of<'a>(
+    families: &'a [Family],
+    list: &'a [Kept],
+) -> impl Iterator<Item = (u32, Box3)> {
     list.iter().flat_map(|kept| {
         let family = &families[kept.family as usize];
-        bits(kept.children.into()).map(|k| family.nodes[k])
+        bits(kept.children.into()).map(|k| (family.below[k], family.box_of(k)))
     })
 }
 
@@ -139,6 +142,13 @@ impl Corridor {
     /// off the shaft, or have all their planes beside both ends.
     #[inline(always)]
     fn admits(&self, family: &Family) -> u8 {
+        let mut met = [0; WIDTH];
+        for k in 0..WIDTH {
+            met[k] = all_bits(!self.shaft.misses(&family.box_of(k)));
+        }
+        if mask_of(&met) as u8 & family.blockers == 0 {
+            return 0;
+        }
         let mut admitted = [0; WIDTH];
         for k in 0..WIDTH {
             let blockers = family.box_of(k);
@@ -146,7 +156,7 @@ impl Corridor {
             let (low_b, high_b) = beside(family, k, &blockers, &self.ends[1]);
             let above = (low_a >= 0.0) & (low_b >= 0.0);
             let below = (high_a <= 0.0) & (high_b <= 0.0);
-            admitted[k] = all_bits(!(above | below | self.shaft.misses(&blockers)));
+            admitted[k] = all_bits(!(above | below)) & met[k];
         }
         mask_of(&admitted) as u8 & family.blockers
     }
@@ -249,7 +259,7 @@ pub fn refine(
             while open != 0 {
                 let k = 7 - open.leading_zeros() as usize;
                 open &= !(1 << k);
-                opened[n_opened] = family.families[k];
+                opened[n_opened] = family.below[k];
                 n_opened += 1;
             }
             if n_opened == 0 {

@@ -4,7 +4,7 @@
 //! recursion over node pairs ([`pairs`]: the paper's Algorithms 1 and 2 as corrected in [V-4] and
 //! [V-5]), spills the links as sorted runs and writes the map. What makes it fast are proofs about
 //! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders
-//! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`kernel`], [`lanes`]),
+//! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`kernel`], [`packets`]),
 //! exactly. The room never asks how the tree came about and never approximates.
 //!
 //! Start reading at [`build::build`], then [`pairs`].
@@ -12,11 +12,14 @@
 pub mod bounds;
 pub mod build;
 pub mod candidates;
+pub mod ends;
 pub mod error;
 pub mod interaction;
 pub mod kernel;
-pub mod lanes;
+mod lanes;
+pub mod packets;
 pub mod pairs;
+mod pierce;
 pub mod tasks;
 
 pub use build::{BuildOptions, BuildReport, MapInput, build};

@@ -13,8 +13,9 @@ use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
+use crate::ends::{Ends, MAX_ENDS};
 use crate::kernel::{Blockers, Counts, Recent};
-use crate::lanes::{Ends, Tile, WIDTH};
+use crate::packets::{Packet, Shot, WIDTH, pack};
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,8 +83,6 @@ impl Gathered {
     }
 }
 
-/// Leaves of a side of a block at most: the bits of a mask.
-const MAX_SIDE: u32 = u64::BITS;
 /// Leaf pairs that are decided together, at most.
 const BLOCK_PAIRS: u32 = 1024;
 
@@ -108,10 +107,12 @@ pub struct Decider<'a> {
     candidates: Vec<Kept>,
     blockers: Blockers,
     recent: Recent,
-    /// The rows and the columns of the block at hand, by eights.
-    sides: [Vec<Ends>; 2],
+    /// The rows and the columns of the block at hand.
+    sides: [Box<Ends>; 2],
     /// For each row of the block, a bit a column that nothing has blocked yet.
     open: Vec<u64>,
+    /// The open segments of the block.
+    packets: Vec<Packet>,
     block_pairs: u32,
     /// What it took so far.
     pub counts: Counts,
@@ -133,8 +134,9 @@ impl<'a> Decider<'a> {
             candidates: Vec::new(),
             blockers: Blockers::default(),
             recent: Recent::default(),
-            sides: [Vec::new(), Vec::new()],
+            sides: [Box::new(Ends::NONE), Box::new(Ends::NONE)],
             open: Vec::new(),
+            packets: Vec::new(),
             block_pairs: block_pairs.max(1),
             counts: Counts::default(),
             settled: Settled::default(),
@@ -157,7 +159,7 @@ impl<'a> Decider<'a> {
             return Status::Invisible;
         }
         let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
-        if n_a.max(n_b) <= MAX_SIDE && n_a * n_b <= self.block_pairs {
+        if n_a.max(n_b) <= MAX_ENDS as u32 && n_a * n_b <= self.block_pairs {
             self.settled.n_blocks += 1;
             return self.block(a, b, list, links);
         }
@@ -216,82 +218,52 @@ impl<'a> Decider<'a> {
 
     /// Loads the leaves of a block and opens the pairs that face each other.
     fn load_block(&mut self, a: u32, b: u32) {
-        let Scene { tree, discs, .. } = self.scene;
+        let Scene { tree, discs, profile, .. } = self.scene;
         for (side, id) in self.sides.iter_mut().zip([a, b]) {
             let node = &tree.nodes[id as usize];
-            let starts = (node.first_surfel..node.end_surfel).step_by(WIDTH);
-            side.clear();
-            side.extend(
-                starts.map(|first| {
-                    Ends::new(discs, first..node.end_surfel.min(first + WIDTH as u32))
-                }),
-            );
+            side.load(discs, node.first_surfel..node.end_surfel, profile);
         }
         let [rows, columns] = &self.sides;
-        self.open.clear();
-        self.open.resize(rows.len() * WIDTH, 0);
-        for (rows, open) in rows.iter().zip(self.open.chunks_mut(WIDTH)) {
-            for (i, columns) in columns.iter().enumerate() {
-                for (open, facing) in open.iter_mut().zip(rows.faces(columns)) {
-                    *open |= facing << (i * WIDTH);
-                }
-            }
-        }
+        rows.faces(columns, &mut self.open);
     }
 
     /// Closes what a remembered disc blocks; says whether something is still open.
     fn try_recent(&mut self) -> bool {
         let Scene { discs, profile, .. } = self.scene;
-        let counts = &mut self.counts;
-        let blockers = self.recent.blockers();
-        let mut n_left = 0;
-        for_open_tiles(&self.sides, &mut self.open, |tile| {
-            let n_open = tile.n_open();
-            blockers.shoot(profile, discs, tile, counts);
-            let left = tile.n_open();
-            counts.n_segments += n_open;
-            counts.n_remembered += n_open - left;
-            n_left += left;
-        });
+        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        pack(shot.block, &self.open, &mut self.packets);
+        self.open.fill(0);
+        let (mut n_open, mut n_left) = (0, 0);
+        for packet in &mut self.packets {
+            n_open += packet.n_open();
+            self.recent.blockers().shoot(&shot, packet, &mut self.counts);
+            n_left += packet.n_open();
+            packet.note(&mut self.open);
+        }
+        self.counts.n_segments += n_open;
+        self.counts.n_remembered += n_open - n_left;
+        // Packets that lost much are packed anew.
+        if n_left * 4 <= (self.packets.len() * WIDTH * 3) as u64 {
+            pack(shot.block, &self.open, &mut self.packets);
+        }
         n_left > 0
     }
 
     /// Closes what a list blocks that holds all blockers of the block.
     fn try_candidates(&mut self, list: Range<usize>) {
-        let Scene { tree, discs, bounds, families, profile } = self.scene;
-        let surfel = |node: u32| tree.nodes[node as usize].first_surfel;
-        let leaves = candidates::nodes_of(families, &self.candidates[list]);
-        let reaches = leaves.map(|k| (surfel(k), bounds[k as usize].blockers));
-        self.blockers.load(discs, reaches);
+        let Scene { discs, families, profile, .. } = self.scene;
+        self.blockers.load(discs, candidates::blockers_of(families, &self.candidates[list]));
         self.counts.n_loaded += self.blockers.len() as u64;
         if self.blockers.is_empty() {
             return;
         }
-        for_open_tiles(&self.sides, &mut self.open, |tile| {
-            if let Some((id, reach)) = self.blockers.shoot(profile, discs, tile, &mut self.counts) {
-                self.recent.remember(discs, id, &reach);
+        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        self.open.fill(0);
+        for packet in &mut self.packets {
+            if let Some(best) = self.blockers.shoot(&shot, packet, &mut self.counts) {
+                self.recent.remember(&self.blockers, best);
             }
-        });
-    }
-}
-
-/// Hands out the tiles of a block in which some segment is open.
-fn for_open_tiles(sides: &[Vec<Ends>; 2], open: &mut [u64], mut shoot: impl FnMut(&mut Tile<'_>)) {
-    let [rows, columns] = sides;
-    for (rows, open) in rows.iter().zip(open.chunks_mut(WIDTH)) {
-        for (i, columns) in columns.iter().enumerate() {
-            let mut tile = Tile { rows, columns, open: [0; WIDTH] };
-            for (lanes, open) in tile.open.iter_mut().zip(&*open) {
-                *lanes = open >> (i * WIDTH) & 0xff;
-            }
-            if tile.open == [0; WIDTH] {
-                continue;
-            }
-            let before = tile.open;
-            shoot(&mut tile);
-            for ((open, before), after) in open.iter_mut().zip(before).zip(tile.open) {
-                *open &= !((before & !after) << (i * WIDTH));
-            }
+            packet.note(&mut self.open);
         }
     }
 }

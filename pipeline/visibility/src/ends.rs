@@ -1,0 +1,131 @@
+//! The ends of a block's segments, and who faces whom among them.
+
+use std::ops::Range;
+
+use multiversion::multiversion;
+use pvmap_geometry::disc::{Disc, Profile};
+
+use crate::lanes::{all_bits, dot, greater, mask_of};
+
+/// Leaves of a side of a block at most: the bits of a mask.
+pub const MAX_ENDS: usize = u64::BITS as usize;
+
+/// Ends that are asked at once whom they face.
+const OCTET: usize = 8;
+
+/// What rounds a radius or a length outward in f32.
+pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
+
+/// Up to 64 leaves in a row: all near or all far ends of a block's segments, a lane each.
+#[derive(Debug, Clone)]
+pub struct Ends {
+    /// Surfel id of the first; the others follow.
+    first: u32,
+    n: usize,
+    pub(crate) centroid: [[f32; MAX_ENDS]; 3],
+    /// Each centroid and its opposite: the greatest of some are the corners of their box.
+    pub(crate) corners: [[f32; 8]; MAX_ENDS],
+    /// Within which nothing blocks a segment of this end: rounded inward, and squared; 0 for profile
+    /// `paper`.
+    pub(crate) spared: [f32; MAX_ENDS],
+    pub(crate) spared2: [f64; MAX_ENDS],
+    normal: [[f64; MAX_ENDS]; 3],
+    /// 1 if both faces count.
+    two_sided: [f64; MAX_ENDS],
+    /// 1 without a normal.
+    free: [f64; MAX_ENDS],
+}
+
+impl Ends {
+    /// No leaves.
+    pub const NONE: Ends = Ends {
+        first: 0,
+        n: 0,
+        centroid: [[0.0; MAX_ENDS]; 3],
+        corners: [[0.0; 8]; MAX_ENDS],
+        spared: [0.0; MAX_ENDS],
+        spared2: [0.0; MAX_ENDS],
+        normal: [[0.0; MAX_ENDS]; 3],
+        two_sided: [0.0; MAX_ENDS],
+        free: [0.0; MAX_ENDS],
+    };
+
+    /// Loads consecutive surfels, at most 64.
+    pub fn load(&mut self, discs: &[Disc], surfels: Range<u32>, profile: Profile) {
+        (self.first, self.n) = (surfels.start, surfels.len());
+        for (k, disc) in discs[surfels.start as usize..surfels.end as usize].iter().enumerate() {
+            for i in 0..3 {
+                let c = disc.centroid[i] as f32;
+                self.centroid[i][k] = c;
+                (self.corners[k][i], self.corners[k][i + 3]) = (c, -c);
+                self.normal[i][k] = f64::from(disc.normal[i]);
+            }
+            self.two_sided[k] = f64::from(u8::from(disc.two_sided));
+            self.free[k] = f64::from(u8::from(disc.normal == [0; 3]));
+            if profile == Profile::Patch {
+                self.spared2[k] = disc.radius2 as f64;
+                self.spared[k] = self.spared2[k].sqrt() as f32 / OUTWARD;
+            }
+        }
+    }
+
+    /// Counts the leaves.
+    pub fn len(&self) -> usize {
+        self.n
+    }
+
+    /// Says whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.n == 0
+    }
+
+    /// Gives the surfel of a lane.
+    pub(crate) fn surfel(&self, k: usize) -> usize {
+        self.first as usize + k
+    }
+
+    /// Finds who faces whom among these ends, the rows, and others, the columns: for each row, a
+    /// bit a column. Exact: every number is below 2^40. Source: DESIGN.md [V-1].
+    pub fn faces(&self, columns: &Ends, open: &mut Vec<u64>) {
+        open.clear();
+        open.resize(self.n, 0);
+        faces(self, columns, open);
+    }
+}
+
+#[multiversion(targets = "simd")]
+fn faces(rows: &Ends, columns: &Ends, open: &mut [u64]) {
+    let [bx, by, bz] = &columns.centroid;
+    let [nx, ny, nz] = &columns.normal;
+    for from in (0..columns.n).step_by(OCTET) {
+        let (bx, by, bz) = (octet(bx, from), octet(by, from), octet(bz, from));
+        let (nx, ny, nz) = (octet(nx, from), octet(ny, from), octet(nz, from));
+        let (two_sided, free) = (octet(&columns.two_sided, from), octet(&columns.free, from));
+        for (row, open) in open.iter_mut().enumerate() {
+            let a = [0, 1, 2].map(|i| f64::from(rows.centroid[i][row]));
+            let n = [0, 1, 2].map(|i| rows.normal[i][row]);
+            let mut facing = [0; OCTET];
+            for k in 0..OCTET {
+                let d = [f64::from(bx[k]) - a[0], f64::from(by[k]) - a[1], f64::from(bz[k]) - a[2]];
+                let near = dot(n, d);
+                let far = nx[k] * d[0] + ny[k] * d[1] + nz[k] * d[2];
+                let looks = greater(near, rows.two_sided[row] * near.abs()) + rows.free[row] > 0.0;
+                let back = greater(-far, two_sided[k] * far.abs()) + free[k] > 0.0;
+                facing[k] = all_bits(looks & back & (dot(d, d) > 0.0));
+            }
+            *open |= mask_of(&facing) << from;
+        }
+    }
+    let known = u64::MAX >> (MAX_ENDS - columns.n);
+    for open in open {
+        *open &= known;
+    }
+}
+
+/// Gives eight lanes.
+#[inline(always)]
+fn octet<T: Copy + Default>(lanes: &[T; MAX_ENDS], from: usize) -> [T; OCTET] {
+    let mut some = [T::default(); OCTET];
+    some.copy_from_slice(&lanes[from..from + OCTET]);
+    some
+}
