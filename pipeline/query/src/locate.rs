@@ -5,12 +5,12 @@ use std::collections::BinaryHeap;
 
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::{self, Normal};
-use pvmap_geometry::{Box3, GridPoint, grid, morton};
+use pvmap_geometry::{Box3, GridPoint, grid};
 use pvmap_vmap::tree::{Nodes, RoutingKey, route};
 use pvmap_vmap::{FormatError, Node, Surfel};
 
 use crate::error::QueryError;
-use crate::map::{Map, Reach, cell_box, points_box};
+use crate::map::{Map, points_box};
 
 /// A place somebody asks about.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -133,11 +133,14 @@ impl Map<'_> {
 
     /// Finds the best of all leaves.
     fn nearest(&self, target: &Target) -> Result<Option<Found>, FormatError> {
-        let reach = self.reach()?;
         let g = target.g.map(|v| v as i32);
         self.best(target, |node| {
-            let cell = cell_box(node.first_code, node.level);
-            Some(cell.grown(reach[usize::from(node.level)]).distance2(g))
+            let around = match self.profile() {
+                Profile::Patch => node.reach(),
+                // A box of points never leaves its cell.
+                Profile::Paper => node.cell(),
+            };
+            Some(around.distance2(g))
         })
     }
 
@@ -193,29 +196,6 @@ impl Map<'_> {
         }
     }
 
-    /// Gives how far patch boxes leave their cells. The first call reads all surfels once.
-    fn reach(&self) -> Result<&Reach, FormatError> {
-        if self.profile() == Profile::Paper {
-            // A box of points never leaves its cell.
-            return Ok(&[0; morton::MAX_LEVEL as usize + 1]);
-        }
-        if let Some(reach) = self.reach.get() {
-            return Ok(reach);
-        }
-        let mut reach = Reach::default();
-        for id in 0..self.view().summary().n_surfels {
-            let surfel = self.surfel(id)?;
-            let (cell, patch) = (cell_box(surfel.first_code, surfel.level), surfel.patch);
-            let most = (0..3).map(|i| (cell.min[i] - patch.min[i]).max(patch.max[i] - cell.max[i]));
-            let entry = &mut reach[usize::from(surfel.level)];
-            *entry = most.fold(*entry, i32::max);
-        }
-        for level in (1..reach.len()).rev() {
-            reach[level - 1] = reach[level - 1].max(reach[level]);
-        }
-        Ok(self.reach.get_or_init(|| reach))
-    }
-
     /// Lets a surfel answer if it is within the snap limit.
     fn within(&self, place: &Place, snap: Snap, found: &Found) -> Result<Located, QueryError> {
         let unit = self.view().frame().frame.unit();
@@ -234,10 +214,10 @@ impl Map<'_> {
     }
 }
 
-/// Decides whether a node's closed cell, [g0, g0 + side], holds a place.
+/// Decides whether a node's closed cell holds a place.
 fn holds(node: &Node, g: GridPoint) -> bool {
-    let cell = cell_box(node.first_code, node.level);
-    (0..3).all(|i| (cell.min[i]..=cell.max[i] + 1).contains(&(g[i] as i32)))
+    let cell = node.cell();
+    (0..3).all(|i| (cell.min[i]..=cell.max[i]).contains(&(g[i] as i32)))
 }
 
 fn dot(n: Normal, v: [i64; 3]) -> i64 {

@@ -1,7 +1,5 @@
 //! The map that is asked, and the checked way to its nodes and surfels.
 
-use std::sync::OnceLock;
-
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Box3, morton};
 use pvmap_vmap::map::profile_of;
@@ -22,12 +20,7 @@ pub struct Map<'a> {
     profile: Profile,
     from_given_pairs: bool,
     pub(crate) frames: Frames,
-    pub(crate) reach: OnceLock<Reach>,
 }
-
-/// How far patch boxes leave their cells, in grid steps: entry L holds for all leaves of level L
-/// and deeper.
-pub(crate) type Reach = [i32; morton::MAX_LEVEL as usize + 1];
 
 impl<'a> Map<'a> {
     /// Opens the bytes of a whole map file, reading its header, table and a few small rows.
@@ -42,8 +35,7 @@ impl<'a> Map<'a> {
             None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
         };
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
-        let (frames, reach) = (Frames::default(), OnceLock::new());
-        Ok(Map { view, profile, from_given_pairs, frames, reach })
+        Ok(Map { view, profile, from_given_pairs, frames: Frames::default() })
     }
 
     /// Gives the file behind the answers.
@@ -116,8 +108,11 @@ impl<'a> Map<'a> {
         // A spacing is at most half the cube's side; both together keep the boxes within i32.
         let sane = surfel.half_spacing < 1 << 22 && !surfel.patch.is_empty();
         let fits = sane && {
-            let (points, cell) = (points_box(&surfel), cell_box(surfel.first_code, surfel.level));
-            !points.is_empty() && points.meet(&cell) == points
+            let (points, cell) = (points_box(&surfel), surfel.cell());
+            // A place on the far side of the closed cell is in the next.
+            let inside =
+                (0..3).all(|i| cell.min[i] <= points.min[i] && points.max[i] < cell.max[i]);
+            !points.is_empty() && inside
         };
         let what = "has points outside its cell";
         fits.then_some(surfel).ok_or_else(|| broken(&self.view, "surfels", Surfel::BYTES, id, what))
@@ -132,14 +127,6 @@ impl<'a> Map<'a> {
 /// Gives the box of a leaf's points: the patch box without its margin.
 pub(crate) fn points_box(surfel: &Surfel) -> Box3 {
     surfel.patch.grown(-(surfel.half_spacing as i32))
-}
-
-/// Gives the box of the grid places in a cell, [g0, g0 + side - 1].
-#[inline]
-pub(crate) fn cell_box(first_code: u64, level: u8) -> Box3 {
-    let min = morton::decode(first_code).map(|v| v as i32);
-    let side = 1 << (22 - level);
-    Box3 { min, max: min.map(|v| v + side - 1) }
 }
 
 /// Decides whether a child may be where it is, by its parent's split.

@@ -139,6 +139,7 @@ mod tests {
             bin: -1,
             split: Split::Octants,
             slot: 0,
+            overhang: 0,
         };
         let nodes = [(NO_PARENT, 7), (0, 4), (1, 3), (1, 4), (0, 7), (4, 6), (4, 7)];
         Tree { nodes: nodes.map(node).to_vec(), surfels: Vec::new() }

@@ -350,6 +350,7 @@ mod tests {
                 bin: -1,
                 split: if is_leaf { Split::Leaf } else { Split::Octants },
                 slot: 0,
+                overhang: 0,
             });
             let mut rest = surfels;
             while !is_leaf && !rest.is_empty() {

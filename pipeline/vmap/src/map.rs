@@ -1,13 +1,13 @@
 //! A map as its reader sees it: a view of the bytes of a whole file. Section 5 of FORMAT.md.
 
-use pvmap_geometry::morton;
+use pvmap_geometry::{Box3, morton};
 
 use crate::container::{Closing, Container, Kind, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
 use crate::links::{self, LinkLists};
 use crate::records::{LinkBlock, MapSummary, NO_PARENT, Node, Record, Split, Surfel};
-use crate::tree::Nodes;
+use crate::tree::{Nodes, overhang};
 
 /// The sections of a map in file order, without `sums`.
 pub const SECTIONS: [&str; 8] =
@@ -176,10 +176,13 @@ impl<'a> MapView<'a> {
                 return bad("the surfels of the subtree are not those of its leaves");
             }
             if node.is_leaf() {
-                self.verify_leaf(id, &node)?;
+                let patch = self.verify_leaf(id, &node)?;
+                if let Some(above) = path.last_mut() {
+                    above.around = above.around.join(&patch);
+                }
                 n_surfels += 1;
             } else {
-                path.push(Above { id, node, n_points: 0, next_slot: 0 });
+                path.push(Above { id, node, n_points: 0, next_slot: 0, around: Box3::EMPTY });
             }
         }
         self.close_ended(&mut path, self.summary.n_nodes, n_surfels)?;
@@ -197,27 +200,35 @@ impl<'a> MapView<'a> {
         n_surfels: u32,
     ) -> Result<(), FormatError> {
         while let Some(above) = path.pop_if(|above| above.node.end <= id) {
-            let Above { id: parent, node, n_points, .. } = above;
+            let Above { id: parent, node, n_points, around, .. } = above;
+            let at = u64::from(parent) * Node::BYTES as u64;
             if (node.end, node.n_points, node.end_surfel) != (id, n_points, n_surfels) {
-                let at = u64::from(parent) * Node::BYTES as u64;
                 return Err(self.nodes.broken(at, "the children do not add up to the node"));
+            }
+            if node.overhang != overhang(&node.cell(), &around) {
+                return Err(self.nodes.broken(at, "not the overhang of its leaves"));
+            }
+            if let Some(above) = path.last_mut() {
+                above.around = above.around.join(&around);
             }
         }
         Ok(())
     }
 
-    fn verify_leaf(&self, id: u32, node: &Node) -> Result<(), FormatError> {
+    /// Checks a leaf and gives its patch box.
+    fn verify_leaf(&self, id: u32, node: &Node) -> Result<Box3, FormatError> {
         let surfel = self.surfel(node.first_surfel)?;
         let same = surfel.node == id
             && node.end == id + 1
             && node.end_surfel == node.first_surfel + 1
             && (surfel.n_points, surfel.first_code) == (node.n_points, node.first_code)
-            && (surfel.level, surfel.bin) == (node.level, node.bin);
+            && (surfel.level, surfel.bin) == (node.level, node.bin)
+            && node.overhang == overhang(&node.cell(), &surfel.patch);
         if !same {
             let at = u64::from(node.first_surfel) * Surfel::BYTES as u64;
             return Err(self.surfels.broken(at, format!("differs from its leaf, node {id}")));
         }
-        Ok(())
+        Ok(surfel.patch)
     }
 
     fn verify_links(&self) -> Result<(), FormatError> {
@@ -262,6 +273,8 @@ struct Above {
     n_points: u64,
     /// The least slot the next child can have.
     next_slot: u8,
+    /// The patch boxes of the leaves so far.
+    around: Box3,
 }
 
 impl Above {

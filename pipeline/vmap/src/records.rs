@@ -1,7 +1,7 @@
 //! The fixed rows of both artifacts, as FORMAT.md lays them out.
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::normal::Normal;
+use pvmap_geometry::{Box3, morton};
 
 use crate::bytes::{FieldReader, FieldWriter};
 
@@ -71,14 +71,36 @@ pub struct Node {
     pub split: Split,
     /// Which child of its parent it is.
     pub slot: u8,
+    /// Grid steps by which the patch boxes of its subtree leave its cell at the most.
+    pub overhang: u32,
 }
 
 impl Node {
+    /// Gives its cell as the closed cube [g0, g0 + side].
+    #[inline]
+    pub fn cell(&self) -> Box3 {
+        cell(self.first_code, self.level)
+    }
+
+    /// Gives a box that holds the patch boxes of its subtree.
+    #[inline]
+    pub fn reach(&self) -> Box3 {
+        // Below 2^23, as every record says.
+        self.cell().grown(self.overhang as i32)
+    }
+
     /// Says whether it is a leaf.
     #[inline(always)]
     pub fn is_leaf(&self) -> bool {
         self.split == Split::Leaf
     }
+}
+
+/// Gives a cell as the closed cube [g0, g0 + side].
+fn cell(first_code: u64, level: u8) -> Box3 {
+    let min = morton::decode(first_code).map(|v| v as i32);
+    let side = 1 << (22 - level);
+    Box3 { min, max: min.map(|v| v + side) }
 }
 
 impl Record for Node {
@@ -95,6 +117,7 @@ impl Record for Node {
         w.i8(self.bin);
         w.u8(self.split as u8);
         w.u8(self.slot);
+        w.u32(self.overhang);
     }
 
     #[inline]
@@ -116,9 +139,10 @@ impl Record for Node {
                 _ => return None,
             },
             slot: r.u8(),
+            overhang: r.u32(),
         };
-        (node.level <= 21 && (-1..=6).contains(&node.bin) && node.first_code < 1 << 63)
-            .then_some(node)
+        let has_place = node.level <= 21 && node.first_code < 1 << 63;
+        (has_place && (-1..=6).contains(&node.bin) && node.overhang < 1 << 23).then_some(node)
     }
 }
 
@@ -154,9 +178,7 @@ pub struct Surfel {
 impl Surfel {
     /// Gives the closed cube of the leaf's cell, [g0, g0 + side].
     pub fn cell(&self) -> Box3 {
-        let min = pvmap_geometry::morton::decode(self.first_code).map(|v| v as i32);
-        let side = 1 << (22 - self.level);
-        Box3 { min, max: min.map(|v| v + side) }
+        cell(self.first_code, self.level)
     }
 }
 

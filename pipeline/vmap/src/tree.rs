@@ -2,7 +2,7 @@
 
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_geometry::normal::{self, Normal};
-use pvmap_geometry::{GridPoint, morton};
+use pvmap_geometry::{Box3, GridPoint, morton};
 
 use crate::records::{NO_PARENT, Node, Split, Surfel};
 
@@ -48,6 +48,31 @@ impl Tree {
     pub fn disc(&self, surfel: u32, profile: Profile) -> Disc {
         disc_of(&self.surfels[surfel as usize], profile)
     }
+}
+
+/// Fills in the overhangs of nodes, whose leaves have their patch boxes. [F-15]
+pub fn fill_overhangs(tree: &mut Tree) {
+    // The boxes of open nodes, each with the node they belong to: backwards in preorder the children
+    // come before their parent, the last child first.
+    let mut open: Vec<(u32, Box3)> = Vec::new();
+    for id in (0..tree.nodes.len() as u32).rev() {
+        let node = &mut tree.nodes[id as usize];
+        let below = open.pop_if(|(parent, _)| *parent == id).map(|(_, around)| around);
+        let around = below.unwrap_or_else(|| tree.surfels[node.first_surfel as usize].patch);
+        node.overhang = overhang(&node.cell(), &around);
+        match open.last_mut() {
+            Some((parent, siblings)) if *parent == node.parent => {
+                *siblings = siblings.join(&around);
+            }
+            _ => open.push((node.parent, around)),
+        }
+    }
+}
+
+/// Gives the grid steps by which a box leaves a cell at the most.
+pub fn overhang(cell: &Box3, other: &Box3) -> u32 {
+    let beyond = (0..3).map(|i| (cell.min[i] - other.min[i]).max(other.max[i] - cell.max[i]));
+    beyond.fold(0, i32::max) as u32
 }
 
 /// Gives a surfel's disc as a profile sees it.
@@ -172,5 +197,6 @@ pub fn root_node(shape: Shape, n_points: u64) -> Node {
         bin: -1,
         split: if shape == Shape::Binned { Split::Bins } else { Split::Octants },
         slot: 0,
+        overhang: 0,
     }
 }

@@ -232,6 +232,7 @@ impl<'a> Cutter<'a> {
             bin: self.bin,
             split,
             slot,
+            overhang: 0,
         };
         self.budget.push(&mut self.tree.nodes, node)?;
         Ok(id)

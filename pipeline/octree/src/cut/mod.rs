@@ -3,7 +3,8 @@
 //! One pass reads the points in windows (`points`) and hands them to one `cells` cutter a bin
 //! (one in all for `paper`), which holds no more than the points of one unsettled cell; the points
 //! of a settled leaf become a surfel (`leaf`), or several where their normals stray. What only
-//! the whole tree knows, the spacing of small leaves, is filled in at the end (`spacing`).
+//! the whole tree knows is filled in at the end: the spacing of small leaves (`spacing`), and how
+//! far patches leave their cells.
 //!
 //! Start reading at [`cut`].
 
@@ -19,7 +20,7 @@ mod tests;
 use pvmap_geometry::disc::Profile;
 use pvmap_store::Watch;
 use pvmap_vmap::records::NO_PARENT;
-use pvmap_vmap::tree::root_node;
+use pvmap_vmap::tree::{self, root_node};
 use pvmap_vmap::{Node, OctreeView, Shape, Surfel, Tree};
 use rayon::prelude::*;
 
@@ -92,6 +93,7 @@ pub fn cut(
     let parts = cutters.into_par_iter().map(Cutter::finish);
     let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?, &budget)?;
     spacing::fill(&mut tree.surfels, options.profile);
+    tree::fill_overhangs(&mut tree);
     Ok(tree)
 }
 

@@ -57,8 +57,10 @@ pub(crate) fn grow(points: &[Sample], cut: Cut) -> Tree {
             bin: -1,
             split: Split::Leaf,
             slot: 0,
+            overhang: 0,
         };
         add(&mut tree, points, cut, root);
+        pvmap_vmap::tree::fill_overhangs(&mut tree);
     }
     tree
 }

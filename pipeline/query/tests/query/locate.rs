@@ -5,6 +5,8 @@ use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Frame, GridPoint, grid, normal};
 use pvmap_query::{ErrorKind, Located, Map, Place, QueryError, Snap};
+use pvmap_vmap::container::BLOCK_BYTES;
+use pvmap_vmap::records::Record;
 use pvmap_vmap::tree::{RoutingKey, route};
 use pvmap_vmap::{Shape, Surfel, Tree};
 
@@ -168,4 +170,40 @@ fn a_scan_without_points_has_no_surface() {
     let position = frame().world_of([5; 3]);
     let error = map.locate(&Place { position, normal: None }, Snap::default()).unwrap_err();
     assert_eq!(error, QueryError::Empty);
+}
+
+#[test]
+fn d11_a_place_in_no_cell_touches_few_blocks() {
+    let mut rng = Rng::with_seed(4);
+    let cut = Cut { shape: Shape::Paper, leaf_capacity: 1, max_level: 21, few: 1 };
+    let points: Vec<_> = (0..8000)
+        .map(|_| ([0; 3].map(|_| rng.u32(..1 << 22)), normal::quantise([0.0, 0.0, 1.0]).unwrap()))
+        .collect();
+    let tree = grow(&points, cut);
+    let file = Parts::new(&tree, &[], About::default()).seal();
+    let whole = Map::open(&file).unwrap();
+    let section = whole.view().file().section("surfels", Surfel::BYTES as u32).unwrap();
+    let blocks: Vec<u64> = (0..section.len_bytes).step_by(BLOCK_BYTES as usize).collect();
+    assert!(blocks.len() > 10);
+    let holds = |s: &Surfel, g: GridPoint| s.cell().distance2(g.map(|v| v as i32)) == 0;
+    let (mut n_places, mut n_touched) = (0, 0);
+    while n_places < 20 {
+        let g = [0; 3].map(|_| rng.u32(..1 << 22));
+        if tree.surfels.iter().any(|s| holds(s, g)) {
+            continue;
+        }
+        let place = Place { position: frame().world_of(g), normal: None };
+        let anywhere = Snap::Within(f64::INFINITY);
+        let right = whole.locate(&place, anywhere).unwrap();
+        for block in &blocks {
+            let mut broken = file.clone();
+            broken[(section.offset_bytes + block) as usize] ^= 1;
+            match Map::open(&broken).unwrap().locate(&place, anywhere) {
+                Ok(found) => assert_eq!(found, right),
+                Err(_) => n_touched += 1,
+            }
+        }
+        n_places += 1;
+    }
+    assert!(n_touched <= 3 * n_places, "{n_touched} blocks of surfels for {n_places} places");
 }

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::Normal;
+use pvmap_geometry::{Box3, morton};
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Shape, Split, Surfel, Tree};
 
@@ -158,6 +158,7 @@ impl Oracle {
             bin: cell.bin,
             split,
             slot,
+            overhang: 0,
         });
         self.tree.nodes.len() as u32 - 1
     }
@@ -193,6 +194,16 @@ impl Oracle {
             s.patch.max = s.patch.max.map(|v| v + h);
             if self.options.profile == Profile::Patch {
                 s.radius2 = s.radius2.max(h as u64 * h as u64);
+            }
+        }
+        for node in &mut self.tree.nodes {
+            let (low, side) = (morton::decode(node.first_code), 1 << (22 - node.level));
+            for s in &self.tree.surfels[node.first_surfel as usize..node.end_surfel as usize] {
+                for (i, low) in low.into_iter().enumerate() {
+                    let below = low as i32 - s.patch.min[i];
+                    let above = s.patch.max[i] - (low as i32 + side);
+                    node.overhang = node.overhang.max(below.max(above).max(0) as u32);
+                }
             }
         }
         self.tree
