@@ -42,6 +42,7 @@ pub mod config;
 mod error;
 mod ingest;
 mod limits;
+pub mod rows;
 pub mod scenes;
 
 pub use build::{Built, build, open_octree};

@@ -19,9 +19,24 @@ impl Default for Limits {
     }
 }
 
+/// More threads than any machine has cores for; a hundred thousand would eat its memory.
+const MAX_THREADS: usize = 1024;
+
 impl Limits {
+    /// Refuses a number of threads that can only be a slip.
+    ///
+    /// # Errors
+    /// Where there are more than 1024.
+    fn check(&self) -> Result<(), Error> {
+        match self.threads {
+            0..=MAX_THREADS => Ok(()),
+            n => Err(Error::Config(format!("threads = {n}: it must be at most {MAX_THREADS}"))),
+        }
+    }
+
     /// Runs a job on a pool of so many threads.
     pub(crate) fn run<T: Send>(&self, job: impl FnOnce() -> T + Send) -> Result<T, Error> {
+        self.check()?;
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.threads)
             .build()

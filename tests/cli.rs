@@ -222,9 +222,9 @@ fn an_interaction_list_is_found_beside_its_configuration() {
             ["line 3: ", "99999999 does not exist"],
         ),
         (&*format!("node_a,node_b\n{sound}\n0,1\n"), 65, ["line 3: ", "holds node 1"]),
-        ("node_a,node_b\n1,2\n3\n", 78, ["line 3: ", "1 columns"]),
-        ("node_a,node_b\n1,x\n", 78, ["line 2: ", "\"x\" is no node id"]),
-        ("node_a\n1\n", 78, ["line 1: ", "no column node_b"]),
+        ("node_a,node_b\n1,2\n\n3\n", 65, ["line 4: ", "1 columns"]),
+        ("node_a,node_b\n1,x\n", 65, ["line 2: ", "\"x\" is no node id"]),
+        ("node_a\n1\n", 65, ["line 1: ", "no column node_b"]),
     ] {
         bench.write("plan/pairs.csv", list);
         bench.line(build).fails(code, &words);

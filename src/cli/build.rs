@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::config::{RawConfig, RawProfile, RawTree, at_lines};
 use pvmap::{Built, Error};
 
-use super::{Context, Outcome, check_threads, mib, refuse_input};
+use super::{Context, Outcome, mib, refuse_input};
 use crate::progress::si;
 
 /// Cut an octree into surfels and make its visibility map.
@@ -92,7 +92,6 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let raw = flags.over(RawConfig::find(&args.config)?);
     let list = raw.interaction.as_ref().and_then(|i| i.list.clone());
     let (config, limits) = raw.check()?;
-    check_threads(&limits)?;
     let octree = match &args.octree {
         Some(octree) => octree.clone(),
         None => only_octree(Path::new("."))?,

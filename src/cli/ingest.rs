@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::scan::ReadOptions;
 use pvmap::{Error, IngestRequest, Ingested, Limits, NormalsFrom, Orientation, Watch, memory};
 
-use super::{Context, Outcome, check_threads, mib, parse_point, refuse_input};
+use super::{Context, Outcome, mib, parse_point, refuse_input};
 use crate::progress::si;
 
 /// Stream scan files into a sorted octree on disk.
@@ -107,7 +107,6 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         },
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
-    check_threads(&limits)?;
     if let Some(free) = memory::free_disk_bytes(&request.output) {
         let size: u64 = args.inputs.iter().filter_map(|p| p.metadata().ok()).map(|m| m.len()).sum();
         if size > free / 4 {

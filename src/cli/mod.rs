@@ -6,7 +6,6 @@ mod export;
 mod info;
 mod ingest;
 mod query;
-mod rows;
 mod scene;
 mod verify;
 
@@ -17,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use clap::{Parser, Subcommand};
-use pvmap::{Error, Limits, StoreError};
+use pvmap::{Error, StoreError};
 
 use crate::progress::{Mode, Progress};
 
@@ -207,17 +206,6 @@ fn refuse_input(output: &Path, inputs: &[PathBuf]) -> Result<(), Error> {
         return Err(Error::Usage(message));
     }
     Ok(())
-}
-
-/// More threads than any machine has cores for; a hundred thousand would eat its memory.
-const MAX_THREADS: usize = 1024;
-
-/// Refuses a number of threads that can only be a slip.
-fn check_threads(limits: &Limits) -> Result<(), Error> {
-    match limits.threads {
-        0..=MAX_THREADS => Ok(()),
-        n => Err(Error::Config(format!("threads = {n}: it must be at most {MAX_THREADS}"))),
-    }
 }
 
 /// Writes one JSON value and a newline to stdout.

@@ -7,10 +7,10 @@ use std::process::ExitCode;
 use clap::Subcommand;
 use pvmap::Error;
 use pvmap::query::{Located, Map, PairAnswer, Place, QueryError, Snap};
+use pvmap::rows::Rows;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::rows::Rows;
 use super::{Outcome, map_file, parse_point, print_json};
 
 /// Ask a map
@@ -221,7 +221,7 @@ fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
 fn next_chunk(rows: &mut Rows) -> (Vec<csv::StringRecord>, Option<Result<ExitCode, Error>>) {
     let (mut chunk, mut n_bytes) = (Vec::new(), 0);
     while chunk.len() < CHUNK_ROWS && n_bytes < CHUNK_BYTES {
-        match rows.next() {
+        match rows.read() {
             Ok(Some(row)) => {
                 n_bytes += row.as_slice().len();
                 chunk.push(row);

@@ -6,12 +6,15 @@ use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
 use pvmap_store::StoreError;
+use pvmap_store::memory::require;
 use pvmap_visibility::VisibilityError;
+use pvmap_visibility::interaction::GIVEN_BYTES;
 use pvmap_vmap::Shape;
 use serde::Deserialize;
 
 use crate::Error;
 use crate::limits::{Limits, parse_memory};
+use crate::rows::Rows;
 
 /// The presets of `configs/`, embedded.
 pub const PRESETS: [(&str, &str); 3] = [
@@ -181,7 +184,11 @@ impl RawConfig {
                 None => None,
                 Some(path) => {
                     let mut pairs = Vec::new();
-                    read_pairs(&path, |_, pair| pairs.push(pair))?;
+                    read_pairs(&path, |_, pair| {
+                        pairs.push(pair);
+                        let need_bytes = pairs.len() as u64 * GIVEN_BYTES as u64;
+                        Ok(require("the pairs of this list", need_bytes, memory_bytes)?)
+                    })?;
                     Some(pairs)
                 }
             },
@@ -213,39 +220,36 @@ fn read_text(path: &Path) -> std::io::Result<String> {
 
 /// Reads an interaction list, CSV with the header `node_a,node_b`; hands out each pair with its
 /// line.
-fn read_pairs(path: &Path, mut each: impl FnMut(u64, (u32, u32))) -> Result<(), Error> {
-    let fail =
-        |line: u64, what: String| Error::Config(format!("{}: line {line}: {what}", path.display()));
-    let broken = |e: csv::Error| {
-        let line = e.position().map_or(1, csv::Position::line);
-        match e.into_kind() {
-            csv::ErrorKind::Io(e) => StoreError::io(path, "read", e).into(),
-            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                fail(line, format!("{len} columns, where the header has {expected_len}"))
-            }
-            _ => fail(line, "it is not UTF-8 text".to_owned()),
-        }
-    };
+fn read_pairs(
+    path: &Path,
+    mut each: impl FnMut(u64, (u32, u32)) -> Result<(), Error>,
+) -> Result<(), Error> {
     let metadata = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
     if !metadata.is_file() {
         return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
     }
-    let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file);
-    let header = reader.headers().map_err(broken)?.clone();
-    let column = |name: &str| {
-        let found = header.iter().position(|h| h == name);
-        found.ok_or_else(|| fail(1, format!("no column {name}; the header is node_a,node_b")))
+    let mut rows = Rows::open(path)?;
+    let fail = |line: u64, what: String| {
+        Err(Error::Data(format!("{}: line {line}: {what}", path.display())))
     };
-    let (a, b) = (column("node_a")?, column("node_b")?);
-    for row in reader.records() {
-        let row = row.map_err(broken)?;
-        let line = row.position().map_or(0, csv::Position::line);
-        let id = |i: usize| {
-            let text = row.get(i).unwrap_or_default();
-            text.parse::<u32>().map_err(|_| fail(line, format!("{text:?} is no node id")))
-        };
-        each(line, (id(a)?, id(b)?));
+    let columns = ["node_a", "node_b"].map(|name| rows.header().iter().position(|h| h == name));
+    let (header_line, n_columns) = (rows.line(), rows.header().len());
+    let [Some(a), Some(b)] = columns else {
+        let missing = if columns[0].is_none() { "node_a" } else { "node_b" };
+        return fail(header_line, format!("no column {missing}; the header is node_a,node_b"));
+    };
+    while let Some(row) = rows.read()? {
+        let line = rows.line();
+        if row.len() != n_columns {
+            let n = row.len();
+            return fail(line, format!("{n} columns, where the header has {n_columns}"));
+        }
+        let [text_a, text_b] = [&row[a], &row[b]];
+        match (text_a.parse(), text_b.parse()) {
+            (Ok(a), Ok(b)) => each(line, (a, b))?,
+            (Err(_), _) => return fail(line, format!("{text_a:?} is no node id")),
+            (_, Err(_)) => return fail(line, format!("{text_b:?} is no node id")),
+        }
     }
     Ok(())
 }
@@ -262,6 +266,7 @@ pub fn at_lines(list: &Path, error: Error) -> Error {
             lines.push(line.to_string());
         }
         row += 1;
+        Ok(())
     });
     match read {
         Err(e) => e,

@@ -5,16 +5,27 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
-use pvmap::{Error, StoreError};
+use pvmap_store::StoreError;
+
+use crate::Error;
 
 /// The longest a row may be: twelve numbers take 300 bytes, the rest is for columns of others.
 const MAX_ROW_BYTES: u64 = 1 << 16;
 
-/// The rows of a CSV file or of standard input, with the header row read.
-pub(super) struct Rows {
+/// The rows of a CSV file or of standard input, with the header row read. A row may have any number
+/// of columns.
+pub struct Rows {
     reader: csv::Reader<Guard<Box<dyn Read>>>,
     header: StringRecord,
     path: PathBuf,
+    /// The line on which the row read last begins.
+    line: u64,
+}
+
+impl std::fmt::Debug for Rows {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Rows").field("path", &self.path).field("line", &self.line).finish()
+    }
 }
 
 impl Rows {
@@ -22,7 +33,7 @@ impl Rows {
     ///
     /// # Errors
     /// Where it cannot be opened or the header row cannot be read.
-    pub(super) fn open(path: &Path) -> Result<Rows, Error> {
+    pub fn open(path: &Path) -> Result<Rows, Error> {
         let input: Box<dyn Read> = match path.as_os_str() == "-" {
             true => Box::new(io::stdin().lock()),
             false if path.is_dir() => {
@@ -40,21 +51,27 @@ impl Rows {
             .flexible(true)
             .has_headers(false)
             .from_reader(guard);
-        let mut rows = Rows { reader, header: StringRecord::new(), path: path.to_path_buf() };
-        rows.header = rows.next()?.unwrap_or_default();
+        let mut rows =
+            Rows { reader, header: StringRecord::new(), path: path.to_path_buf(), line: 1 };
+        rows.header = rows.read()?.unwrap_or_default();
         Ok(rows)
     }
 
     /// Gives the header row; it is empty where there is none.
-    pub(super) fn header(&self) -> &StringRecord {
+    pub fn header(&self) -> &StringRecord {
         &self.header
+    }
+
+    /// Gives the line on which the row read last begins, the first is 1.
+    pub fn line(&self) -> u64 {
+        self.line
     }
 
     /// Reads the next row; none at the end.
     ///
     /// # Errors
     /// Where the row is too long or no text, or the disk fails; the error names its line.
-    pub(super) fn next(&mut self) -> Result<Option<StringRecord>, Error> {
+    pub fn read(&mut self) -> Result<Option<StringRecord>, Error> {
         let start = self.reader.position().byte();
         let line = self.reader.position().line() + self.reader.get_mut().begin_row(start);
         let located = |what: &dyn std::fmt::Display| {
@@ -63,6 +80,7 @@ impl Rows {
         let too_long = format!(
             "a row of more than {MAX_ROW_BYTES} bytes; give one pair a line and close every quote"
         );
+        self.line = line;
         let mut row = StringRecord::new();
         let is_row = self.reader.read_record(&mut row).map_err(|e| match e.into_kind() {
             csv::ErrorKind::Io(e) if e.get_ref().is_some_and(|e| e.is::<RowTooLong>()) => {
@@ -140,7 +158,7 @@ mod tests {
         let input = Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step));
         let mut rows = Rows::of(input, Path::new("rows.csv")).map_err(|e| e.to_string())?;
         let mut n = 0;
-        while rows.next().map_err(|e| e.to_string())?.is_some() {
+        while rows.read().map_err(|e| e.to_string())?.is_some() {
             n += 1;
         }
         Ok(n)
