@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use pvmap_vmap::links::LinkLists;
 use pvmap_vmap::{FormatError, MapView};
 
-/// Frames kept. One of pvmap's own takes some 0.2 MB decoded and 0.4 MB at most (lists of two
+/// LinkFrames kept. One of pvmap's own takes some 0.2 MB decoded and 0.4 MB at most (lists of two
 /// links each, just above a power of two of them), so all take some 50 MB, at worst 100 MB. Of the
 /// largest frames that [F-18] allows one takes 0.8 MB and all take 200 MB.
 const N_SLOTS: usize = 256;
 
 /// A decoded link frame.
 #[derive(Debug)]
-struct Frame {
+struct LinkFrame {
     index: u64,
     first: (u32, u32),
     last: (u32, u32),
@@ -21,19 +21,19 @@ struct Frame {
 
 /// The frames decoded last: frame i in slot i modulo [`N_SLOTS`].
 #[derive(Debug)]
-pub(crate) struct Frames {
-    slots: Box<[Mutex<Option<Arc<Frame>>>]>,
+pub(crate) struct LinkFrames {
+    slots: Box<[Mutex<Option<Arc<LinkFrame>>>]>,
 }
 
-impl Default for Frames {
-    fn default() -> Frames {
-        Frames { slots: (0..N_SLOTS).map(|_| Mutex::default()).collect() }
+impl Default for LinkFrames {
+    fn default() -> LinkFrames {
+        LinkFrames { slots: (0..N_SLOTS).map(|_| Mutex::default()).collect() }
     }
 }
 
-impl Frames {
+impl LinkFrames {
     /// Gives a frame, decoding it unless it is still here.
-    fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<Frame>, FormatError> {
+    fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<LinkFrame>, FormatError> {
         let slot = &self.slots[(index % N_SLOTS as u64) as usize];
         let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(frame) = kept().as_ref().filter(|frame| frame.index == index) {
@@ -42,7 +42,7 @@ impl Frames {
         // Decoded outside the lock: others may use the slot meanwhile, at worst twice the work.
         let block = view.link_block(index)?;
         let lists = view.link_lists(index)?;
-        let frame = Arc::new(Frame { index, first: block.first, last: block.last, lists });
+        let frame = Arc::new(LinkFrame { index, first: block.first, last: block.last, lists });
         *kept() = Some(Arc::clone(&frame));
         Ok(frame)
     }
@@ -52,18 +52,18 @@ impl Frames {
 #[derive(Debug)]
 pub(crate) struct Lookup<'m, 'a> {
     view: &'m MapView<'a>,
-    frames: &'m Frames,
-    frame: Option<Arc<Frame>>,
+    frames: &'m LinkFrames,
+    frame: Option<Arc<LinkFrame>>,
 }
 
 impl<'m, 'a> Lookup<'m, 'a> {
-    pub(crate) fn new(view: &'m MapView<'a>, frames: &'m Frames) -> Lookup<'m, 'a> {
+    pub(crate) fn new(view: &'m MapView<'a>, frames: &'m LinkFrames) -> Lookup<'m, 'a> {
         Lookup { view, frames, frame: None }
     }
 
     /// Says whether (a, b), a < b, is a link.
     pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
-        let here = |f: &Arc<Frame>| f.first <= (a, b) && (a, b) <= f.last;
+        let here = |f: &Arc<LinkFrame>| f.first <= (a, b) && (a, b) <= f.last;
         if !self.frame.as_ref().is_some_and(here) {
             let Some(index) = self.view.find_link_block(a, b)? else { return Ok(false) };
             self.frame = Some(self.frames.get(self.view, index)?);

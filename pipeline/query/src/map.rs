@@ -8,7 +8,7 @@ use pvmap_vmap::tree::Nodes;
 use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
 use crate::error::QueryError;
-use crate::frames::Frames;
+use crate::frames::LinkFrames;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
@@ -19,7 +19,7 @@ pub struct Map<'a> {
     view: MapView<'a>,
     profile: Profile,
     from_given_pairs: bool,
-    pub(crate) frames: Frames,
+    pub(crate) frames: LinkFrames,
 }
 
 impl<'a> Map<'a> {
@@ -35,7 +35,7 @@ impl<'a> Map<'a> {
             None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
         };
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
-        Ok(Map { view, profile, from_given_pairs, frames: Frames::default() })
+        Ok(Map { view, profile, from_given_pairs, frames: LinkFrames::default() })
     }
 
     /// Gives the file behind the answers.

@@ -411,6 +411,31 @@ mod tests {
         (0..n).map(disc).collect()
     }
 
+    /// A random tree and all that is known of it.
+    struct Stage {
+        grown: Grown,
+        profile: Profile,
+        bounds: Vec<Bounds>,
+        families: Vec<Family>,
+    }
+
+    impl Stage {
+        /// Grows a tree over at most `n` random discs.
+        fn random(rng: &mut Rng, n: usize) -> Stage {
+            let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
+            let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
+            let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile);
+            let families = families(&grown.tree, &bounds);
+            Stage { grown, profile, bounds, families }
+        }
+
+        fn scene(&self) -> Scene<'_> {
+            let Stage { grown, profile, bounds, families } = self;
+            let Grown { tree, discs, .. } = grown;
+            Scene { tree, discs, bounds, families, profile: *profile }
+        }
+    }
+
     /// Says of all leaf pairs whether they are visible: [V-1]…[V-3] as they stand.
     fn brute_force(discs: &[Disc], profile: Profile) -> Vec<Vec<bool>> {
         let sees = |a: usize, b: usize| {
@@ -459,13 +484,9 @@ mod tests {
             for seed in 0..n_trees {
                 let rng = &mut Rng::with_seed(seed);
                 let n = rng.usize(20..200);
-                let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
-                let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
-                let (tree, discs) = (&grown.tree, grown.discs.as_slice());
-                let bounds = bounds::of_tree(tree, discs, profile);
-                let families = &families(tree, &bounds);
-                let scene = Scene { tree, discs, bounds: &bounds, families, profile };
-                let sees = brute_force(discs, profile);
+                let stage = Stage::random(rng, n);
+                let (scene, tree) = (stage.scene(), &stage.grown.tree);
+                let sees = brute_force(scene.discs, scene.profile);
                 // One decider for all pairs, as in a build: what it remembers is tried too.
                 let mut decider = Decider::with_blocks_of(block_pairs, scene);
                 for (a, b) in sibling_pairs(tree) {
@@ -501,12 +522,8 @@ mod tests {
                 0 => (700, u64::MAX),
                 i => (rng.usize(20..200), [1, 9, 80, 700][i as usize % 4]),
             };
-            let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
-            let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
-            let (tree, discs) = (&grown.tree, grown.discs.as_slice());
-            let bounds = bounds::of_tree(tree, discs, profile);
-            let families = &families(tree, &bounds);
-            let scene = Scene { tree, discs, bounds: &bounds, families, profile };
+            let stage = Stage::random(rng, n);
+            let (scene, tree) = (stage.scene(), &stage.grown.tree);
             let starts = sibling_pairs(tree);
             let limits = PlanLimits { task_links, memory_bytes: 1 << 30 };
             let plan = Plan::new(&scene, &starts, &limits).unwrap();
@@ -518,7 +535,7 @@ mod tests {
             plan.combine(&statuses, &mut found);
             n_above += found.len() - n_below;
             n_tasks += plan.tasks.iter().filter(|task| !starts.contains(task)).count();
-            let sees = brute_force(discs, profile);
+            let sees = brute_force(scene.discs, scene.profile);
             for &pair in &starts {
                 if expected(tree, &sees, pair, &mut right) == Status::Visible {
                     right.push(pair);
