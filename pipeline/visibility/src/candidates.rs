@@ -132,10 +132,9 @@ pub struct Corridor {
 }
 
 impl Corridor {
-    /// Spans the segments between the centroids of two nodes.
-    pub fn new(a: &Bounds, b: &Bounds) -> Corridor {
-        let shaft = Shaft::new(&a.centroids, &b.centroids);
-        Corridor { ends: [Doubled::new(&a.centroids), Doubled::new(&b.centroids)], shaft }
+    /// Spans the segments between two boxes of centroids.
+    pub fn new(a: &Box3, b: &Box3) -> Corridor {
+        Corridor { ends: [Doubled::new(a), Doubled::new(b)], shaft: Shaft::new(a, b) }
     }
 
     /// Finds the children under which some surfel may block a segment, a bit each: the others are
@@ -297,7 +296,8 @@ mod tests {
             for profile in [Profile::Paper, Profile::Patch] {
                 let [(_, bound_a), (_, bound_b)] = [&a, &b].map(|g| family(g, profile));
                 let (children, _) = family(&k, profile);
-                let is_excluded = Corridor::new(&bound_a, &bound_b).admits(&children) == 0;
+                let is_excluded =
+                    Corridor::new(&bound_a.centroids, &bound_b.centroids).admits(&children) == 0;
                 let mut segments = a.iter().flat_map(|x| b.iter().map(move |y| (x, y)));
                 let is_blocked =
                     segments.any(|(x, y)| k.iter().any(|k| disc::blocks(profile, x, y, k)));

@@ -3,9 +3,10 @@
 use std::ops::Range;
 
 use multiversion::multiversion;
+use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
 
-use crate::lanes::{all_bits, dot, greater, mask_of};
+use crate::lanes::{all_bits, bits, dot, greater, mask_of};
 
 /// Leaves of a side of a block at most: the bits of a mask.
 pub const MAX_ENDS: usize = u64::BITS as usize;
@@ -77,6 +78,18 @@ impl Ends {
     /// Says whether there is none.
     pub fn is_empty(&self) -> bool {
         self.n == 0
+    }
+
+    /// Gives the box of the centroids of some lanes, a bit each, at least one.
+    pub fn box_of(&self, lanes: u64) -> Box3 {
+        let mut corners = [f32::NEG_INFINITY; 8];
+        for lane in bits(lanes) {
+            for (corner, of_lane) in corners.iter_mut().zip(&self.corners[lane]) {
+                *corner = greater(*corner, *of_lane);
+            }
+        }
+        let [x, y, z, low_x, low_y, low_z, ..] = corners.map(|v| v as i32);
+        Box3 { min: [-low_x, -low_y, -low_z], max: [x, y, z] }
     }
 
     /// Gives the surfel of a lane.

@@ -7,6 +7,7 @@
 
 use std::ops::Range;
 
+use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
@@ -164,7 +165,8 @@ impl<'a> Decider<'a> {
             return self.block(a, b, list, links);
         }
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
-        let refined = self.refined(a, b, Depth::Level(level), list);
+        let ends = [a, b].map(|id| bounds[id as usize].centroids);
+        let refined = self.refined(&ends, Depth::Level(level), list);
         let status = if refined.is_empty() && facing == Facing::All {
             self.settled.n_clear += 1;
             Status::Visible
@@ -181,11 +183,11 @@ impl<'a> Decider<'a> {
         node.end_surfel - node.first_surfel
     }
 
-    /// Refines a list for a pair; the caller gives the room back.
-    fn refined(&mut self, a: u32, b: u32, depth: Depth, list: Range<usize>) -> Range<usize> {
-        let Scene { bounds, families, .. } = self.scene;
+    /// Refines a list for the segments between two boxes; the caller gives the room back.
+    fn refined(&mut self, ends: &[Box3; 2], depth: Depth, list: Range<usize>) -> Range<usize> {
+        let families = self.scene.families;
         let start = self.candidates.len();
-        let corridor = Corridor::new(&bounds[a as usize], &bounds[b as usize]);
+        let corridor = Corridor::new(&ends[0], &ends[1]);
         self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
         start..self.candidates.len()
     }
@@ -208,7 +210,7 @@ impl<'a> Decider<'a> {
     fn block(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         self.load_block(a, b);
         if self.try_recent() {
-            let refined = self.refined(a, b, Depth::Leaves, list);
+            let refined = self.refined(&self.open_ends(), Depth::Leaves, list);
             self.try_candidates(refined.clone());
             self.candidates.truncate(refined.start);
         }
@@ -247,6 +249,16 @@ impl<'a> Decider<'a> {
             pack(shot.block, &self.open, &mut self.packets);
         }
         n_left > 0
+    }
+
+    /// Gives the boxes of the near and the far ends of the open segments, of which there are some.
+    fn open_ends(&self) -> [Box3; 2] {
+        let (mut rows, mut columns) = (0, 0);
+        for (row, &open) in self.open.iter().enumerate() {
+            rows |= u64::from(open != 0) << row;
+            columns |= open;
+        }
+        [self.sides[0].box_of(rows), self.sides[1].box_of(columns)]
     }
 
     /// Closes what a list blocks that holds all blockers of the block.
@@ -310,7 +322,7 @@ mod tests {
     use crate::interaction::sibling_pairs;
     use crate::tasks::{Plan, PlanLimits};
     use fastrand::Rng;
-    use pvmap_geometry::{Box3, disc, morton, normal};
+    use pvmap_geometry::{disc, morton, normal};
     use pvmap_vmap::records::NO_PARENT;
     use pvmap_vmap::{Node, Split};
 
