@@ -27,7 +27,7 @@ impl Limits {
     ///
     /// # Errors
     /// Where there are more than 1024.
-    fn check(&self) -> Result<(), Error> {
+    pub(crate) fn check(&self) -> Result<(), Error> {
         match self.threads {
             0..=MAX_THREADS => Ok(()),
             n => Err(Error::Config(format!("threads = {n}: it must be at most {MAX_THREADS}"))),

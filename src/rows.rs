@@ -44,8 +44,22 @@ impl Rows {
         Rows::of(input, path)
     }
 
+    /// Opens a file, whatever its name, and reads the header row.
+    ///
+    /// # Errors
+    /// Where it is no file or cannot be opened, or the header row cannot be read.
+    pub fn of_file(path: &Path) -> Result<Rows, Error> {
+        let metadata = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
+        if !metadata.is_file() {
+            return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
+        }
+        let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
+        Rows::of(Box::new(file), path)
+    }
+
     fn of(input: Box<dyn Read>, path: &Path) -> Result<Rows, Error> {
-        let guard = Guard { input, n_given: 0, given: Vec::new(), row_start: 0 };
+        let guard =
+            Guard { input, n_given: 0, given: Vec::new(), row_start: 0, is_ahead: true, n_ends: 0 };
         let reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .flexible(true)
@@ -72,17 +86,19 @@ impl Rows {
     /// # Errors
     /// Where the row is too long or no text, or the disk fails; the error names its line.
     pub fn read(&mut self) -> Result<Option<StringRecord>, Error> {
-        let start = self.reader.position().byte();
-        let line = self.reader.position().line() + self.reader.get_mut().begin_row(start);
+        let (start, line) = (self.reader.position().byte(), self.reader.position().line());
+        self.reader.get_mut().begin_row(start);
+        let mut row = StringRecord::new();
+        let read = self.reader.read_record(&mut row);
+        let line = line + self.reader.get_ref().n_ends;
+        self.line = line;
         let located = |what: &dyn std::fmt::Display| {
             Error::Data(format!("{}: line {line}: {what}", self.path.display()))
         };
         let too_long = format!(
             "a row of more than {MAX_ROW_BYTES} bytes; give one pair a line and close every quote"
         );
-        self.line = line;
-        let mut row = StringRecord::new();
-        let is_row = self.reader.read_record(&mut row).map_err(|e| match e.into_kind() {
+        let is_row = read.map_err(|e| match e.into_kind() {
             csv::ErrorKind::Io(e) if e.get_ref().is_some_and(|e| e.is::<RowTooLong>()) => {
                 located(&too_long)
             }
@@ -93,7 +109,7 @@ impl Rows {
             // Rows of any length are taken and none is deserialised or sought.
             other => located(&format!("{other:?}")),
         })?;
-        if self.reader.position().byte() - start > MAX_ROW_BYTES {
+        if self.reader.position().byte() - self.reader.get_ref().row_start > MAX_ROW_BYTES {
             return Err(located(&too_long));
         }
         Ok(is_row.then_some(row))
@@ -111,17 +127,32 @@ struct Guard<R> {
     given: Vec<u8>,
     /// Where the row at hand begins.
     row_start: u64,
+    /// Whether only line ends came since the row before.
+    is_ahead: bool,
+    /// Line ends in front of the row at hand.
+    n_ends: u64,
 }
 
 impl<R> Guard<R> {
-    /// Notes where a row begins, and counts the line ends in front of it: the second half of the
-    /// row's before, and blank lines.
-    fn begin_row(&mut self, start: u64) -> u64 {
-        self.row_start = start;
+    /// Notes where the row before ended.
+    fn begin_row(&mut self, start: u64) {
+        (self.row_start, self.is_ahead, self.n_ends) = (start, true, 0);
         let n_ahead = (self.n_given - start).min(self.given.len() as u64) as usize;
-        let ahead = self.given[self.given.len() - n_ahead..].iter();
-        let ends = ahead.take_while(|b| [b'\r', b'\n'].contains(b));
-        ends.filter(|&&b| b == b'\n').count() as u64
+        let given = std::mem::take(&mut self.given);
+        self.skip_ends(&given[given.len() - n_ahead..]);
+        self.given = given;
+    }
+
+    /// Skips the line ends in front of a row: the second half of the row's before, and blank lines.
+    fn skip_ends(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.is_ahead &= [b'\r', b'\n'].contains(&byte);
+            if !self.is_ahead {
+                break;
+            }
+            self.row_start += 1;
+            self.n_ends += u64::from(byte == b'\n');
+        }
     }
 }
 
@@ -132,6 +163,7 @@ impl<R: Read> Read for Guard<R> {
         }
         let n = self.input.read(buf)?;
         self.n_given += n as u64;
+        self.skip_ends(&buf[..n]);
         self.given.clear();
         self.given.extend_from_slice(&buf[..n]);
         Ok(n)
@@ -170,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_row_is_as_long_as_the_limit_or_refused_however_it_comes() {
-        for step in [1000, 4096, usize::MAX] {
+        for step in [1, 5, 6, 1000, 4096, usize::MAX] {
             for (len, is_fine) in
                 [(65_500, true), (65_535, true), (65_536, false), (200_000, false)]
             {
@@ -189,6 +221,11 @@ mod tests {
                 let found = read(&text, step).unwrap_err();
                 assert!(found.starts_with(&format!("rows.csv: line {line}: ")), "{nl:?}: {found}");
             }
+            // Nor are many that are blank, before or behind.
+            let blank = "\n".repeat(70_000);
+            let text = format!("{blank}a,b\n{blank}1,2{blank}{}", row_of(70_000));
+            assert!(read(&text, step).unwrap_err().starts_with("rows.csv: line 210001: "));
+            assert_eq!(read(&format!("a,b\n1,2\n{blank}"), step), Ok(1));
             // Many short ones are no long one.
             assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));
         }

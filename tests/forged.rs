@@ -135,10 +135,11 @@ fn f47_a_hostile_octree_under_right_checksums_never_panics_a_build() {
 fn f47_a_hostile_tree_is_refused() {
     let sound = Parts::of(&SOUND.map, Kind::Map);
     let n_nodes = MapView::open(&SOUND.map).unwrap().n_nodes() as usize;
-    // Fields of the 40-byte row of a node: all but the reserved.
-    let fields = [(0, 4), (4, 4), (8, 4), (12, 4), (16, 8), (24, 8), (32, 1), (33, 1), (34, 1)];
+    // The fields of the 40-byte row of a node.
+    let small = [(32, 1), (33, 1), (34, 1), (35, 1), (36, 4)];
+    let fields = [(0, 4), (4, 4), (8, 4), (12, 4), (16, 8), (24, 8)].into_iter().chain(small);
     for id in [0, 1, 2, n_nodes / 2, n_nodes - 1] {
-        for (at, len) in fields {
+        for (at, len) in fields.clone() {
             for value in EXTREMES.into_iter().chain([7, 22, 255, id as u64]) {
                 let mut parts = sound.clone();
                 put(parts.bytes_mut("nodes"), 40 * id + at, value, len);

@@ -5,8 +5,6 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
-use pvmap_store::StoreError;
-use pvmap_store::memory::require;
 use pvmap_visibility::VisibilityError;
 use pvmap_visibility::interaction::GIVEN_BYTES;
 use pvmap_vmap::Shape;
@@ -162,11 +160,13 @@ impl RawConfig {
     /// Checks every value and reads the interaction list.
     ///
     /// # Errors
-    /// Where a value is out of range or the list cannot be read.
+    /// Where a value is out of range, or the list cannot be read or outgrows the memory.
     pub fn check(self) -> Result<(BuildConfig, Limits), Error> {
         let defaults = BuildConfig::default();
         let max_level = self.deepest_level().map_err(Error::Config)?;
         let memory_bytes = self.memory_bytes().map_err(Error::Config)?;
+        let limits = Limits { threads: self.threads.unwrap_or(0), memory_bytes };
+        limits.check()?;
         let config = BuildConfig {
             max_level,
             leaf_capacity: self.leaf_capacity.unwrap_or(defaults.leaf_capacity),
@@ -184,16 +184,23 @@ impl RawConfig {
                 None => None,
                 Some(path) => {
                     let mut pairs = Vec::new();
-                    read_pairs(&path, |_, pair| {
+                    let most = memory_bytes / GIVEN_BYTES as u64;
+                    read_pairs(&path, |line, pair| {
                         pairs.push(pair);
-                        let need_bytes = pairs.len() as u64 * GIVEN_BYTES as u64;
-                        Ok(require("the pairs of this list", need_bytes, memory_bytes)?)
+                        if pairs.len() as u64 > most {
+                            let list = path.display();
+                            return Err(Error::Config(format!(
+                                "{list}: line {line}: more than the {most} pairs that fit into \
+                                 the memory given; give --memory {GIVEN_BYTES} bytes a pair"
+                            )));
+                        }
+                        Ok(())
                     })?;
                     Some(pairs)
                 }
             },
         };
-        Ok((config, Limits { threads: self.threads.unwrap_or(0), memory_bytes }))
+        Ok((config, limits))
     }
 }
 
@@ -224,11 +231,7 @@ fn read_pairs(
     path: &Path,
     mut each: impl FnMut(u64, (u32, u32)) -> Result<(), Error>,
 ) -> Result<(), Error> {
-    let metadata = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
-    if !metadata.is_file() {
-        return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
-    }
-    let mut rows = Rows::open(path)?;
+    let mut rows = Rows::of_file(path)?;
     let fail = |line: u64, what: String| {
         Err(Error::Data(format!("{}: line {line}: {what}", path.display())))
     };

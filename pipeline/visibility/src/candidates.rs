@@ -14,21 +14,21 @@ use crate::bounds::Bounds;
 use crate::lanes::{all_bits, bits, greater, less, mask_of};
 
 /// Children of a node at most.
-const WIDTH: usize = 8;
+const MAX_CHILDREN: usize = 8;
 
 /// What the culling asks of the children of a node: it is asked some hundred million times.
 #[derive(Debug, Clone)]
 pub struct Family {
     /// Of every place at which a surfel under the child can block.
-    low: [[i32; WIDTH]; 3],
-    high: [[i32; WIDTH]; 3],
+    low: [[i32; MAX_CHILDREN]; 3],
+    high: [[i32; MAX_CHILDREN]; 3],
     /// Least and greatest of each component of the normals under it.
-    least: [[i16; WIDTH]; 3],
-    greatest: [[i16; WIDTH]; 3],
+    least: [[i16; MAX_CHILDREN]; 3],
+    greatest: [[i16; MAX_CHILDREN]; 3],
     /// Bounds of n·c over the surfels under it.
-    offset: [[f64; WIDTH]; 2],
+    offset: [[f64; MAX_CHILDREN]; 2],
     /// The family of each child, of a leaf the surfel.
-    below: [u32; WIDTH],
+    below: [u32; MAX_CHILDREN],
     /// Their level, one for all.
     level: u8,
     /// Children that are leaves, and children under which some surfel can block, a bit each.
@@ -38,12 +38,12 @@ pub struct Family {
 
 impl Family {
     const EMPTY: Family = Family {
-        low: [[0; WIDTH]; 3],
-        high: [[0; WIDTH]; 3],
-        least: [[0; WIDTH]; 3],
-        greatest: [[0; WIDTH]; 3],
-        offset: [[0.0; WIDTH]; 2],
-        below: [0; WIDTH],
+        low: [[0; MAX_CHILDREN]; 3],
+        high: [[0; MAX_CHILDREN]; 3],
+        least: [[0; MAX_CHILDREN]; 3],
+        greatest: [[0; MAX_CHILDREN]; 3],
+        offset: [[0.0; MAX_CHILDREN]; 2],
+        below: [0; MAX_CHILDREN],
         level: 0,
         leaves: 0,
         blockers: 0,
@@ -141,15 +141,15 @@ impl Corridor {
     /// off the shaft, or have all their planes beside both ends.
     #[inline(always)]
     fn admits(&self, family: &Family) -> u8 {
-        let mut met = [0; WIDTH];
-        for k in 0..WIDTH {
+        let mut met = [0; MAX_CHILDREN];
+        for k in 0..MAX_CHILDREN {
             met[k] = all_bits(!self.shaft.misses(&family.box_of(k)));
         }
         if mask_of(&met) as u8 & family.blockers == 0 {
             return 0;
         }
-        let mut admitted = [0; WIDTH];
-        for k in 0..WIDTH {
+        let mut admitted = [0; MAX_CHILDREN];
+        for k in 0..MAX_CHILDREN {
             let blockers = family.box_of(k);
             let (low_a, high_a) = beside(family, k, &blockers, &self.ends[0]);
             let (low_b, high_b) = beside(family, k, &blockers, &self.ends[1]);

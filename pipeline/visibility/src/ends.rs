@@ -17,7 +17,7 @@ const OCTET: usize = 8;
 /// What rounds a radius or a length outward in f32.
 pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
 
-/// Up to 64 leaves in a row: all near or all far ends of a block's segments, a lane each.
+/// Up to 64 leaves in a row, a lane each: all near or all far ends of a block's segments.
 #[derive(Debug, Clone)]
 pub struct Ends {
     /// Surfel id of the first; the others follow.
@@ -51,7 +51,7 @@ impl Ends {
         free: [0.0; MAX_ENDS],
     };
 
-    /// Loads consecutive surfels, at most 64.
+    /// Loads consecutive surfels, 1 to 64. Lanes beyond them keep what they held.
     pub fn load(&mut self, discs: &[Disc], surfels: Range<u32>, profile: Profile) {
         (self.first, self.n) = (surfels.start, surfels.len());
         for (k, disc) in discs[surfels.start as usize..surfels.end as usize].iter().enumerate() {
@@ -63,10 +63,11 @@ impl Ends {
             }
             self.two_sided[k] = f64::from(u8::from(disc.two_sided));
             self.free[k] = f64::from(u8::from(disc.normal == [0; 3]));
-            if profile == Profile::Patch {
-                self.spared2[k] = disc.radius2 as f64;
-                self.spared[k] = self.spared2[k].sqrt() as f32 / OUTWARD;
-            }
+            self.spared2[k] = match profile {
+                Profile::Patch => disc.radius2 as f64,
+                Profile::Paper => 0.0,
+            };
+            self.spared[k] = self.spared2[k].sqrt() as f32 / OUTWARD;
         }
     }
 
@@ -98,7 +99,7 @@ impl Ends {
     }
 
     /// Finds who faces whom among these ends, the rows, and others, the columns: for each row, a
-    /// bit a column. Exact: every number is below 2^40. Source: DESIGN.md [V-1].
+    /// bit a column; both are loaded. Exact: every number is below 2^40. Source: DESIGN.md [V-1].
     pub fn faces(&self, columns: &Ends, open: &mut Vec<u64>) {
         open.clear();
         open.resize(self.n, 0);

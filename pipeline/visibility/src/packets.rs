@@ -57,7 +57,7 @@ pub struct Packet {
     pub(crate) column: [u32; WIDTH],
     /// Segments that nothing has blocked yet, a bit each.
     open: u32,
-    room: Room,
+    whereabouts: Whereabouts,
 }
 
 impl Packet {
@@ -67,8 +67,16 @@ impl Packet {
         let [rows, columns] = block;
         let (near, far) = (places_of(rows, &row), places_of(columns, &column));
         let spared = [picked(&rows.spared, &row), picked(&columns.spared, &column)];
-        let room = Room::new(&Span::new(rows, &row), &Span::new(columns, &column));
-        Packet { near, far, spared, row, column, open: u32::MAX >> (u32::BITS as usize - n), room }
+        let whereabouts = Whereabouts::new(&Span::new(rows, &row), &Span::new(columns, &column));
+        Packet {
+            near,
+            far,
+            spared,
+            row,
+            column,
+            open: u32::MAX >> (u32::BITS as usize - n),
+            whereabouts,
+        }
     }
 
     /// Counts the open segments.
@@ -129,7 +137,7 @@ pub(crate) fn pack(block: [&Ends; 2], open: &[u64], packets: &mut Vec<Packet>) {
 /// What culling asks of sixteen discs, a lane each. A lane without a disc has a box in which nothing
 /// is.
 #[derive(Debug, Clone)]
-pub(crate) struct Chunk {
+pub(crate) struct DiscBatch {
     normal: [[f32; WIDTH]; 3],
     /// n·c.
     offset: [f32; WIDTH],
@@ -141,8 +149,8 @@ pub(crate) struct Chunk {
     radius: [f32; WIDTH],
 }
 
-impl Chunk {
-    pub(crate) const EMPTY: Chunk = Chunk {
+impl DiscBatch {
+    pub(crate) const EMPTY: DiscBatch = DiscBatch {
         centroid: [[0.0; WIDTH]; 3],
         radius: [0.0; WIDTH],
         normal: [[0.0; WIDTH]; 3],
@@ -166,8 +174,8 @@ impl Chunk {
         self.radius[k] = (disc.radius2 as f32).sqrt() * OUTWARD;
     }
 
-    /// Copies a lane of another chunk.
-    pub(crate) fn copy(&mut self, to: usize, other: &Chunk, from: usize) {
+    /// Copies a lane of another batch.
+    pub(crate) fn copy(&mut self, to: usize, other: &DiscBatch, from: usize) {
         for i in 0..3 {
             self.normal[i][to] = other.normal[i][from];
             self.low[i][to] = other.low[i][from];
@@ -195,7 +203,7 @@ pub struct Shot<'a> {
 #[multiversion(targets = "simd")]
 pub(crate) fn fire(
     shot: &Shot<'_>,
-    chunks: &[Chunk],
+    batches: &[DiscBatch],
     ids: &[u32],
     packet: &mut Packet,
     counts: &mut Counts,
@@ -204,13 +212,13 @@ pub(crate) fn fire(
     if packet.open == 0 {
         return best;
     }
-    for (i, chunk) in chunks.iter().enumerate() {
-        let kept = cull(&packet.room, chunk);
+    for (i, batch) in batches.iter().enumerate() {
+        let kept = cull(&packet.whereabouts, batch);
         if kept == 0 {
             continue;
         }
         counts.n_tests += u64::from(kept.count_ones());
-        let hits = sift(chunk, kept, packet);
+        let hits = sift(batch, kept, packet);
         for k in bits(union_of(&hits).into()) {
             let asked = lanes_with(&hits, k) & packet.open;
             if asked == 0 {
@@ -250,7 +258,6 @@ fn settle(shot: &Shot<'_>, blocker: &Disc, hits: u32, packet: &mut Packet, count
         if asked == 0 {
             continue;
         }
-        counts.n_halves += 1;
         let (sure, maybe) = pierce(profile, &plate, block, packet, half * HALF);
         packet.open &= !((sure & asked) << (half * HALF));
         for lane in bits((maybe & !sure & asked).into()).map(|k| half * HALF + k) {
@@ -297,7 +304,7 @@ impl Span {
 
 /// Where the ends of a packet's segments are.
 #[derive(Debug, Clone, Copy)]
-struct Room {
+struct Whereabouts {
     near: Span,
     far: Span,
     /// The box of all.
@@ -307,9 +314,9 @@ struct Room {
     longest: f32,
 }
 
-impl Room {
+impl Whereabouts {
     #[inline(always)]
-    fn new(near: &Span, far: &Span) -> Room {
+    fn new(near: &Span, far: &Span) -> Whereabouts {
         let (mut low, mut high, mut longest2) = ([0.0; 3], [0.0; 3], 0.0);
         for i in 0..3 {
             low[i] = less(near.low[i], far.low[i]);
@@ -317,24 +324,24 @@ impl Room {
             let way = greater(far.high[i] - near.low[i], near.high[i] - far.low[i]);
             longest2 += way * way;
         }
-        Room { near: *near, far: *far, low, high, longest: longest2.sqrt() * OUTWARD }
+        Whereabouts { near: *near, far: *far, low, high, longest: longest2.sqrt() * OUTWARD }
     }
 }
 
-/// Finds which discs of a chunk may block a segment between two boxes, a bit each.
+/// Finds which discs of a batch may block a segment between two boxes, a bit each.
 ///
 /// A disc's plane cuts such a segment at a share t that is bounded by how far the boxes are from
 /// the plane, and so is the place of the cut, an axis at a time; it has to meet the disc's box.
 #[inline(always)]
-fn cull(room: &Room, chunk: &Chunk) -> u32 {
-    let Room { near: a, far: b, .. } = room;
-    let [nx, ny, nz] = &chunk.normal;
+fn cull(whereabouts: &Whereabouts, batch: &DiscBatch) -> u32 {
+    let Whereabouts { near: a, far: b, .. } = whereabouts;
+    let [nx, ny, nz] = &batch.normal;
     let mut kept = [0; WIDTH];
     for k in 0..WIDTH {
         let n = [nx[k], ny[k], nz[k]];
         let size = [n[0].abs(), n[1].abs(), n[2].abs()];
         let (here, there) =
-            (dot32(n, a.middle) - chunk.offset[k], dot32(n, b.middle) - chunk.offset[k]);
+            (dot32(n, a.middle) - batch.offset[k], dot32(n, b.middle) - batch.offset[k]);
         let (spread_a, spread_b) = (dot32(size, a.half) + SLACK, dot32(size, b.half) + SLACK);
         // From above to below, or the other way; if both can be, either bounds t by 0 and 1.
         let down = (here + spread_a > 0.0) & (there - spread_b < 0.0);
@@ -349,14 +356,14 @@ fn cull(room: &Room, chunk: &Chunk) -> u32 {
             let (low0, low1) = (a.low[i] + t0 * to_low, a.low[i] + t1 * to_low);
             let (high0, high1) = (a.high[i] + t0 * to_high, a.high[i] + t1 * to_high);
             meets &=
-                (less(low0, low1) <= chunk.high[i][k]) & (greater(high0, high1) >= chunk.low[i][k]);
+                (less(low0, low1) <= batch.high[i][k]) & (greater(high0, high1) >= batch.low[i][k]);
         }
         kept[k] = if meets { 1 << k } else { 0 };
     }
     union_of(&kept)
 }
 
-/// How far off the discs of a chunk can be where they sift the segments of a packet, a lane each.
+/// How far off the discs of a batch can be where they sift the segments of a packet, a lane each.
 struct Margins {
     /// δ.
     delta: [f32; WIDTH],
@@ -368,35 +375,35 @@ struct Margins {
 
 impl Margins {
     #[inline(always)]
-    fn new(chunk: &Chunk, room: &Room) -> Margins {
+    fn new(batch: &DiscBatch, whereabouts: &Whereabouts) -> Margins {
         let mut margins =
             Margins { delta: [0.0; WIDTH], crossing: [0.0; WIDTH], reach: [0.0; WIDTH] };
         for k in 0..WIDTH {
             let mut size = 1.0;
             for i in 0..3 {
-                let c = chunk.centroid[i][k];
-                size = greater(size, greater(room.high[i] - c, c - room.low[i]));
+                let c = batch.centroid[i][k];
+                size = greater(size, greater(whereabouts.high[i] - c, c - whereabouts.low[i]));
             }
             let delta = size / (1u32 << 21) as f32;
             margins.delta[k] = delta;
             margins.crossing[k] = 2.0 * delta * size;
-            margins.reach[k] = 4.0 * delta * chunk.radius[k] + size * size / (1u32 << 18) as f32;
+            margins.reach[k] = 4.0 * delta * batch.radius[k] + size * size / (1u32 << 18) as f32;
         }
         margins
     }
 }
 
-/// Finds the open segments of a packet that some discs of a chunk may block: for each segment, a
+/// Finds the open segments of a packet that some discs of a batch may block: for each segment, a
 /// bit a disc.
 #[inline(always)]
-fn sift(chunk: &Chunk, discs: u32, packet: &Packet) -> [u32; WIDTH] {
-    let Packet { near: [ax, ay, az], far: [bx, by, bz], room, .. } = packet;
+fn sift(batch: &DiscBatch, discs: u32, packet: &Packet) -> [u32; WIDTH] {
+    let Packet { near: [ax, ay, az], far: [bx, by, bz], whereabouts, .. } = packet;
     let [spared_a, spared_b] = &packet.spared;
-    let margins = Margins::new(chunk, room);
+    let margins = Margins::new(batch, whereabouts);
     let mut hits = [0; WIDTH];
     for disc in bits(discs.into()) {
-        let (c, n) = (at(&chunk.centroid, disc), at(&chunk.normal, disc));
-        let (radius, delta) = (chunk.radius[disc], margins.delta[disc]);
+        let (c, n) = (at(&batch.centroid, disc), at(&batch.normal, disc));
+        let (radius, delta) = (batch.radius[disc], margins.delta[disc]);
         let (crossing, slack) = (margins.crossing[disc], margins.reach[disc]);
         for k in 0..WIDTH {
             let p = [ax[k] - c[0], ay[k] - c[1], az[k] - c[2]];
@@ -412,8 +419,8 @@ fn sift(chunk: &Chunk, discs: u32, packet: &Packet) -> [u32; WIDTH] {
             let least = width - 4.0 * delta;
             let may = (here * there < crossing)
                 & (dot32(e, e) <= reach * reach)
-                & (spared_a[k] * least <= (here.abs() + delta) * room.longest)
-                & (spared_b[k] * least <= (there.abs() + delta) * room.longest);
+                & (spared_a[k] * least <= (here.abs() + delta) * whereabouts.longest)
+                & (spared_b[k] * least <= (there.abs() + delta) * whereabouts.longest);
             hits[k] |= if may { 1 << disc } else { 0 };
         }
     }

@@ -86,6 +86,8 @@ impl Gathered {
 
 /// Leaf pairs that are decided together, at most.
 const BLOCK_PAIRS: u32 = 1024;
+/// Entries of a list of candidates that are opened to leaves before it is seen what is still open.
+const PIECE: usize = 16;
 
 /// How many node pairs were settled in which way; together all the recursion looked at.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -209,9 +211,13 @@ impl<'a> Decider<'a> {
     /// candidates looked for.
     fn block(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         self.load_block(a, b);
-        if self.try_recent() {
-            let refined = self.refined(&self.open_ends(), Depth::Leaves, list);
-            self.try_candidates(refined.clone());
+        let mut is_open = self.try_recent();
+        let mut rest = list;
+        while is_open && !rest.is_empty() {
+            let piece = rest.start..rest.end.min(rest.start + PIECE);
+            rest.start = piece.end;
+            let refined = self.refined(&self.open_ends(), Depth::Leaves, piece);
+            is_open = self.try_candidates(refined.clone());
             self.candidates.truncate(refined.start);
         }
         let first = [a, b].map(|id| self.scene.tree.nodes[id as usize].first_surfel);
@@ -244,7 +250,7 @@ impl<'a> Decider<'a> {
         }
         self.counts.n_segments += n_open;
         self.counts.n_remembered += n_open - n_left;
-        // Packets that lost much are packed anew.
+        // With a quarter of the lanes idle it pays to pack anew.
         if n_left * 4 <= (self.packets.len() * WIDTH * 3) as u64 {
             pack(shot.block, &self.open, &mut self.packets);
         }
@@ -261,13 +267,13 @@ impl<'a> Decider<'a> {
         [self.sides[0].box_of(rows), self.sides[1].box_of(columns)]
     }
 
-    /// Closes what a list blocks that holds all blockers of the block.
-    fn try_candidates(&mut self, list: Range<usize>) {
+    /// Closes what a list of leaves blocks; says whether something is still open.
+    fn try_candidates(&mut self, list: Range<usize>) -> bool {
         let Scene { discs, families, profile, .. } = self.scene;
         self.blockers.load(discs, candidates::blockers_of(families, &self.candidates[list]));
         self.counts.n_loaded += self.blockers.len() as u64;
         if self.blockers.is_empty() {
-            return;
+            return true;
         }
         let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
         self.open.fill(0);
@@ -277,6 +283,7 @@ impl<'a> Decider<'a> {
             }
             packet.note(&mut self.open);
         }
+        self.open.iter().any(|&open| open != 0)
     }
 }
 

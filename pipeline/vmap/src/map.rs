@@ -205,12 +205,19 @@ impl<'a> MapView<'a> {
             if (node.end, node.n_points, node.end_surfel) != (id, n_points, n_surfels) {
                 return Err(self.nodes.broken(at, "the children do not add up to the node"));
             }
-            if node.overhang != overhang(&node.cell(), &around) {
-                return Err(self.nodes.broken(at, "not the overhang of its leaves"));
-            }
+            self.verify_overhang(parent, &node, &around)?;
             if let Some(above) = path.last_mut() {
                 above.around = above.around.join(&around);
             }
+        }
+        Ok(())
+    }
+
+    /// Checks how far the patch boxes under a node, all in `around`, leave its cell.
+    fn verify_overhang(&self, id: u32, node: &Node, around: &Box3) -> Result<(), FormatError> {
+        if node.overhang != overhang(&node.cell(), around) {
+            let at = u64::from(id) * Node::BYTES as u64;
+            return Err(self.nodes.broken(at, "not the overhang of its leaves"));
         }
         Ok(())
     }
@@ -222,12 +229,12 @@ impl<'a> MapView<'a> {
             && node.end == id + 1
             && node.end_surfel == node.first_surfel + 1
             && (surfel.n_points, surfel.first_code) == (node.n_points, node.first_code)
-            && (surfel.level, surfel.bin) == (node.level, node.bin)
-            && node.overhang == overhang(&node.cell(), &surfel.patch);
+            && (surfel.level, surfel.bin) == (node.level, node.bin);
         if !same {
             let at = u64::from(node.first_surfel) * Surfel::BYTES as u64;
             return Err(self.surfels.broken(at, format!("differs from its leaf, node {id}")));
         }
+        self.verify_overhang(id, node, &surfel.patch)?;
         Ok(surfel.patch)
     }
 

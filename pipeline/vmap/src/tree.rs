@@ -50,7 +50,7 @@ impl Tree {
     }
 }
 
-/// Fills in the overhangs of nodes, whose leaves have their patch boxes. [F-15]
+/// Fills in the overhangs of nodes, whose leaves have their patch boxes. [F-20]
 pub fn fill_overhangs(tree: &mut Tree) {
     // The boxes of open nodes, each with the node they belong to: backwards in preorder the children
     // come before their parent, the last child first.
