@@ -26,13 +26,19 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let (path, bytes) = map_file(&args.file)?;
-    context.progress.stage("verify", None, "bytes");
+    let progress = &context.progress;
+    let mut tell = |n| progress.advance(n);
     let checked = match kind_of(&bytes) {
-        Some(Kind::Octree) => OctreeView::open(&bytes).and_then(|v| v.verify()),
-        _ => MapView::open(&bytes).and_then(|v| v.verify()),
+        Some(Kind::Octree) => OctreeView::open(&bytes).and_then(|view| {
+            progress.stage("verify", Some(view.verify_bytes()), "bytes");
+            view.verify_telling(&mut tell)
+        }),
+        _ => MapView::open(&bytes).and_then(|view| {
+            progress.stage("verify", Some(view.verify_bytes()), "bytes");
+            view.verify_telling(&mut tell)
+        }),
     };
     checked.map_err(|e| Error::artifact(&path, e))?;
-    context.progress.advance(bytes.len() as u64);
     context.progress.take_stages();
     writeln!(std::io::stdout().lock(), "{}: sound", args.file.display())?;
     Ok(ExitCode::SUCCESS)

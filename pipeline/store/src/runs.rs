@@ -17,6 +17,8 @@ pub type Pair = (u32, u32);
 const PIECE_BYTES: usize = 1 << 16;
 /// Runs that are merged at once: with a piece of each, 16 MiB.
 const MAX_FAN_IN: usize = 256;
+/// Pairs moved between two words about it.
+const PAIRS_TOLD: u64 = 1 << 16;
 /// The longest a packed pair can be: two varints of five bytes.
 const MAX_PAIR_BYTES: usize = 10;
 
@@ -28,7 +30,11 @@ pub struct Runs {
 }
 
 /// Pieces of whole packed pairs, in order.
-type Run = VecDeque<Piece>;
+#[derive(Debug, Default)]
+struct Run {
+    pieces: VecDeque<Piece>,
+    n_pairs: u64,
+}
 
 #[derive(Debug)]
 enum Piece {
@@ -50,6 +56,11 @@ impl Runs {
         Runs { shelf, runs: Vec::new() }
     }
 
+    /// Counts the pairs.
+    pub fn n_pairs(&self) -> u64 {
+        self.runs.iter().map(|run| run.n_pairs).sum()
+    }
+
     /// Gives the bytes that went to disk so far.
     pub fn spilled_bytes(&self) -> u64 {
         self.shelf.file_bytes.get()
@@ -65,7 +76,48 @@ impl Runs {
             packer.put(pair)?;
         }
         let run = packer.finish()?;
-        self.runs.extend((!run.is_empty()).then_some(run));
+        self.runs.extend((run.n_pairs > 0).then_some(run));
+        Ok(())
+    }
+
+    /// Counts the pairs that [`Self::narrow`] moves, each as often as it does.
+    pub fn n_pairs_to_narrow(&self) -> u64 {
+        let mut lengths: VecDeque<u64> = self.runs.iter().map(|run| run.n_pairs).collect();
+        let mut n_moved = 0;
+        while lengths.len() > MAX_FAN_IN {
+            let merged = lengths.drain(..MAX_FAN_IN).sum();
+            n_moved += merged;
+            lengths.push_back(merged);
+        }
+        n_moved
+    }
+
+    /// Merges runs into longer ones until they are few enough to be merged at once; `each` gets the
+    /// number of pairs moved, again and again.
+    ///
+    /// # Errors
+    /// Where the disk or `each` fails.
+    pub fn narrow<E: From<StoreError>>(
+        &mut self,
+        mut each: impl FnMut(u64) -> Result<(), E>,
+    ) -> Result<(), E> {
+        while self.runs.len() > MAX_FAN_IN {
+            let group = self.runs.drain(..MAX_FAN_IN).collect();
+            let mut packer = Packer::new(&self.shelf);
+            let mut n_told = 0;
+            merge_runs(&self.shelf, group, |pair| {
+                packer.put(pair)?;
+                let n_new = packer.run.n_pairs - n_told;
+                if n_new == PAIRS_TOLD {
+                    n_told += n_new;
+                    each(n_new)?;
+                }
+                Ok::<_, E>(())
+            })?;
+            let run = packer.finish()?;
+            each(run.n_pairs - n_told)?;
+            self.runs.push(run);
+        }
         Ok(())
     }
 
@@ -74,17 +126,11 @@ impl Runs {
     /// # Errors
     /// Where the disk or `each` fails.
     pub fn merge<E: From<StoreError>>(
-        self,
+        mut self,
         each: impl FnMut(Pair) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Runs { shelf, mut runs } = self;
-        while runs.len() > MAX_FAN_IN {
-            let group = runs.drain(..MAX_FAN_IN).collect();
-            let mut packer = Packer::new(&shelf);
-            merge_runs(&shelf, group, |pair| packer.put(pair))?;
-            runs.push(packer.finish()?);
-        }
-        merge_runs(&shelf, runs, each)
+        self.narrow(|_| Ok::<_, E>(()))?;
+        merge_runs(&self.shelf, self.runs, each)
     }
 }
 
@@ -151,7 +197,7 @@ struct Packer<'a> {
 impl Packer<'_> {
     fn new(shelf: &Shelf) -> Packer<'_> {
         let buffer = Vec::with_capacity(PIECE_BYTES);
-        Packer { shelf, run: Run::new(), buffer, before: (0, 0) }
+        Packer { shelf, run: Run::default(), buffer, before: (0, 0) }
     }
 
     fn put(&mut self, pair: Pair) -> Result<(), StoreError> {
@@ -160,12 +206,13 @@ impl Packer<'_> {
         // Within a list the partners rise too; the first of a list stands as it is.
         put_varint(&mut self.buffer, if step == 0 { pair.1 - self.before.1 } else { pair.1 });
         self.before = pair;
+        self.run.n_pairs += 1;
         if self.buffer.len() > PIECE_BYTES - MAX_PAIR_BYTES { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<(), StoreError> {
         if !self.buffer.is_empty() {
-            self.run.push_back(self.shelf.keep(&self.buffer)?);
+            self.run.pieces.push_back(self.shelf.keep(&self.buffer)?);
             self.buffer.clear();
         }
         Ok(())
@@ -180,7 +227,7 @@ impl Packer<'_> {
 /// A place in a run.
 struct Cursor {
     /// What lies beyond the buffer.
-    run: Run,
+    pieces: VecDeque<Piece>,
     buffer: Vec<u8>,
     at: usize,
     before: Pair,
@@ -188,12 +235,12 @@ struct Cursor {
 
 impl Cursor {
     fn new(run: Run) -> Cursor {
-        Cursor { run, buffer: Vec::new(), at: 0, before: (0, 0) }
+        Cursor { pieces: run.pieces, buffer: Vec::new(), at: 0, before: (0, 0) }
     }
 
     fn next(&mut self, shelf: &Shelf) -> Result<Option<Pair>, StoreError> {
         if self.at == self.buffer.len() {
-            let Some(piece) = self.run.pop_front() else { return Ok(None) };
+            let Some(piece) = self.pieces.pop_front() else { return Ok(None) };
             shelf.take(piece, &mut self.buffer)?;
             self.at = 0;
         }
@@ -282,9 +329,17 @@ mod tests {
                 runs.push(&run).unwrap();
                 assert!(runs.shelf.held_bytes.get() <= limit_bytes);
             }
+            assert_eq!(runs.n_pairs(), u64::from(n));
             let is_held = runs.spilled_bytes() == 0;
             assert_eq!(is_held, limit_bytes == u64::MAX, "{n_runs} runs, {limit_bytes} bytes");
             assert_eq!(runs.shelf.file.get().is_none(), is_held);
+            let (n_moved, mut n_told) = (runs.n_pairs_to_narrow(), 0);
+            let told = runs.narrow(|n| {
+                n_told += n;
+                Ok::<_, StoreError>(())
+            });
+            told.unwrap();
+            assert_eq!((n_told, n_moved > 0), (n_moved, n_runs == 600));
             assert!(merged(runs) == expected, "{n_runs} runs, {limit_bytes} bytes");
         }
     }

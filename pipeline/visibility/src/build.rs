@@ -234,7 +234,6 @@ fn write(
     let nodes = write_records(&mut file, &tree.nodes)?;
     let surfels = write_records(&mut file, &tree.surfels)?;
     let runs = links.runs.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let temporary_bytes = runs.spilled_bytes();
     let written = write_links(&mut file, tree, runs, watch)?;
     let index = write_records(&mut file, &written.index)?;
     let frame = file.whole(&input.frame.to_bytes())?;
@@ -248,7 +247,7 @@ fn write(
         digest: input.digest,
     };
     let room = file.rewrite(&room, &summary.to_bytes())?;
-    let link_bytes = written.section.len_bytes;
+    let (link_bytes, temporary_bytes) = (written.section.len_bytes, written.temporary_bytes);
     let sections = [room, config, nodes, surfels, written.section, index, frame, crs];
     let sizes = [
         MapSummary::BYTES,
@@ -294,15 +293,25 @@ struct WrittenLinks {
     index: Vec<LinkBlock>,
     n_links: u64,
     n_visible_pairs: u128,
+    temporary_bytes: u64,
 }
 
 fn write_links(
     file: &mut SectionFile,
     tree: &Tree,
-    runs: Runs,
+    mut runs: Runs,
     watch: &dyn Watch,
 ) -> Result<WrittenLinks, VisibilityError> {
-    watch.stage("links", None, "links");
+    let n_to_narrow = runs.n_pairs_to_narrow();
+    if n_to_narrow > 0 {
+        watch.stage("merge", Some(n_to_narrow), "links");
+        runs.narrow(|n| {
+            watch.advance(n);
+            Ok::<_, VisibilityError>(watch.check()?)
+        })?;
+    }
+    let temporary_bytes = runs.spilled_bytes();
+    watch.stage("links", Some(runs.n_pairs()), "links");
     let mut section = file.stream();
     let mut encoder = LinkEncoder::new().map_err(VisibilityError::Compress)?;
     let mut index: Vec<LinkBlock> = Vec::new();
@@ -327,7 +336,8 @@ fn write_links(
         section.append(&frame)?;
         index.push(block);
     }
-    Ok(WrittenLinks { section: section.finish()?, index, n_links, n_visible_pairs })
+    let section = section.finish()?;
+    Ok(WrittenLinks { section, index, n_links, n_visible_pairs, temporary_bytes })
 }
 
 /// The canonical text of the keys that decide content. [F-14]

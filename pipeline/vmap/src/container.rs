@@ -313,11 +313,17 @@ impl<'a> Container<'a> {
         Ok(sums)
     }
 
-    /// Checks every byte: all blocks, all padding, the root. [F-4]
+    /// Gives the length of the file.
+    pub fn len_bytes(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
+    /// Checks every byte: all blocks, all padding, the root; `tell` gets the bytes of each block.
+    /// [F-4]
     ///
     /// # Errors
     /// The first damage found.
-    pub fn verify(&self) -> Result<(), FormatError> {
+    pub fn verify(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
         let sums = self.sums()?;
         let table_end = HEADER_BYTES as usize * (self.sections.len() + 1);
         let table = &self.bytes[HEADER_BYTES as usize..table_end];
@@ -334,6 +340,7 @@ impl<'a> Container<'a> {
             }
             for block in 0..section.n_blocks() {
                 self.check_block(section, block)?;
+                tell(BLOCK_BYTES.min(section.len_bytes - block * BLOCK_BYTES));
             }
             end = start + section.len_bytes as usize;
         }

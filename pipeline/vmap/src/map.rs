@@ -141,11 +141,25 @@ impl<'a> MapView<'a> {
     /// # Errors
     /// The first damage found.
     pub fn verify(&self) -> Result<(), FormatError> {
-        self.file.verify()?;
+        self.verify_telling(&mut |_| ())
+    }
+
+    /// Does what [`Self::verify`] does; `tell` gets the number of bytes gone through, again and
+    /// again, in all about [`Self::verify_bytes`].
+    ///
+    /// # Errors
+    /// The first damage found.
+    pub fn verify_telling(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
+        self.file.verify(tell)?;
         self.crs()?;
         self.verify_config()?;
         self.verify_tree()?;
-        self.verify_links()
+        self.verify_links(tell)
+    }
+
+    /// Counts the bytes that verifying goes through: the whole file, then the links again.
+    pub fn verify_bytes(&self) -> u64 {
+        self.file.len_bytes() + self.links.len_bytes
     }
 
     fn verify_config(&self) -> Result<(), FormatError> {
@@ -238,9 +252,12 @@ impl<'a> MapView<'a> {
         Ok(surfel.patch)
     }
 
-    fn verify_links(&self) -> Result<(), FormatError> {
+    fn verify_links(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
         let (mut n_links, mut end, mut before) = (0u64, 0, None);
         let mut n_pairs = 0u128;
+        // The links of a node stand together: it is read once.
+        let mut near: Option<(u32, Node)> = None;
+        let n_leaves = |node: &Node| u128::from(node.end_surfel - node.first_surfel);
         for i in 0..self.index.n_records {
             let block = self.link_block(i)?;
             let at = i * LinkBlock::BYTES as u64;
@@ -251,16 +268,18 @@ impl<'a> MapView<'a> {
                 if b >= self.summary.n_nodes {
                     return Err(self.index.broken(at, format!("a link to node {b} of no tree")));
                 }
-                let (start_b, a, b) = (b, self.node(a)?, self.node(b)?);
-                if start_b < a.end {
+                if near.is_none_or(|(id, _)| id != a) {
+                    near = Some((a, self.node(a)?));
+                }
+                if near.is_some_and(|(_, near)| b < near.end) {
                     return Err(self.index.broken(at, "a link between a node and one below it"));
                 }
-                n_pairs += u128::from(a.end_surfel - a.first_surfel)
-                    * u128::from(b.end_surfel - b.first_surfel);
+                n_pairs += near.map_or(0, |(_, near)| n_leaves(&near)) * n_leaves(&self.node(b)?);
             }
             n_links += u64::from(block.n_links);
             end += u64::from(block.len_bytes);
             before = Some(block.last);
+            tell(block.len_bytes.into());
         }
         if end != self.links.len_bytes || n_links != self.summary.n_links {
             return Err(self.links.broken(end, "frames do not fill the section"));

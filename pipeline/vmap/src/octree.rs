@@ -491,7 +491,21 @@ impl<'a> OctreeView<'a> {
     /// # Errors
     /// The first damage found.
     pub fn verify(&self) -> Result<(), FormatError> {
-        self.file.verify()?;
+        self.verify_telling(&mut |_| ())
+    }
+
+    /// Counts the bytes that verifying goes through: the whole file, then the points again.
+    pub fn verify_bytes(&self) -> u64 {
+        self.file.len_bytes() + self.points.len_bytes
+    }
+
+    /// Does what [`Self::verify`] does; `tell` gets the number of bytes gone through, again and
+    /// again, in all about [`Self::verify_bytes`].
+    ///
+    /// # Errors
+    /// The first damage found.
+    pub fn verify_telling(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
+        self.file.verify(tell)?;
         self.crs()?;
         let names = self.file.section("names", 0)?;
         for source in self.sources() {
@@ -513,6 +527,7 @@ impl<'a> OctreeView<'a> {
                 digest = digest.wrapping_add(digest_of(&key));
             }
             first += n;
+            tell(n * self.schema.record_bytes() as u64);
         }
         if digest != self.summary.digest {
             return Err(self.points.broken(0, "the points are not those of the digest"));
