@@ -224,7 +224,7 @@ mod tests {
             // Nor are many that are blank, before or behind.
             let blank = "\n".repeat(70_000);
             let text = format!("{blank}a,b\n{blank}1,2{blank}{}", row_of(70_000));
-            assert!(read(&text, step).unwrap_err().starts_with("rows.csv: line 210001: "));
+            assert!(read(&text, step).unwrap_err().starts_with("rows.csv: line 210002: "));
             assert_eq!(read(&format!("a,b\n1,2\n{blank}"), step), Ok(1));
             // Many short ones are no long one.
             assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));

@@ -5,10 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use pvmap_vmap::links::LinkLists;
 use pvmap_vmap::{FormatError, MapView};
 
-/// Link frames kept. One of pvmap's own takes some 0.2 MB decoded and 0.4 MB at most (lists of two
-/// links each, just above a power of two of them), so all take some 50 MB, at worst 100 MB. Of the
-/// largest frames that [F-18] allows one takes 0.8 MB and all take 200 MB.
-const N_SLOTS: usize = 256;
+/// Link frames kept. One of pvmap's own takes some 50 kB decoded, so all take some 50 MB. Of the
+/// largest frames that [F-18] allows one takes 0.2 MB and all take 200 MB.
+const N_SLOTS: usize = 1024;
 
 /// A decoded link frame.
 #[derive(Debug)]

@@ -83,9 +83,9 @@ fn d11_frames_beyond_the_cache_are_decoded_again() {
     let cut = Cut { shape: Shape::Paper, leaf_capacity: 0, max_level: 21, few: 1 };
     let tree = grow(&random_points(&mut rng, 500), cut);
     let links = random_links(&mut rng, &tree, &siblings(&tree), 255);
-    let file = Parts::new(&tree, &links, About { links_per_frame: 50, ..About::default() }).seal();
+    let file = Parts::new(&tree, &links, About { links_per_frame: 12, ..About::default() }).seal();
     let map = Map::open(&file).unwrap();
-    assert!(map.view().n_link_blocks() > 600, "twice the frames that are kept");
+    assert!(map.view().n_link_blocks() > 2400, "twice the frames that are kept");
     std::thread::scope(|scope| {
         for thread in 0..4 {
             let (map, tree, links) = (&map, &tree, &links);
