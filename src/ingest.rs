@@ -16,7 +16,7 @@ use pvmap_scan::{
 };
 use pvmap_store::{InputFile, StoreError, Watch};
 use pvmap_vmap::frame::CrsKind;
-use pvmap_vmap::octree::ColumnType;
+use pvmap_vmap::schema::ColumnType;
 use rayon::prelude::*;
 
 use crate::{Error, Limits};

@@ -122,25 +122,14 @@ fn above(tree: &Tree, node: u32) -> impl Iterator<Item = u32> + '_ {
 
 #[cfg(test)]
 mod tests {
-    use pvmap_vmap::records::{Node, Split};
+    use pvmap_vmap::records::Node;
+    use pvmap_vmap::tree::{Shape, root_node};
 
     use super::*;
 
     /// Two children of the root, 1 and 4, with two leaves each.
     fn tree() -> Tree {
-        let node = |(parent, end)| Node {
-            parent,
-            end,
-            first_surfel: 0,
-            end_surfel: 0,
-            n_points: 0,
-            first_code: 0,
-            level: 0,
-            bin: -1,
-            split: Split::Octants,
-            slot: 0,
-            overhang: 0,
-        };
+        let node = |(parent, end)| Node { parent, end, ..root_node(Shape::Paper, 0) };
         let nodes = [(NO_PARENT, 7), (0, 4), (1, 3), (1, 4), (0, 7), (4, 6), (4, 7)];
         Tree { nodes: nodes.map(node).to_vec(), surfels: Vec::new() }
     }

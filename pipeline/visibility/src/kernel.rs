@@ -1,5 +1,5 @@
 //! The leaf kernel: the segments between a few leaves and a few others against a list of discs, by
-//! floats with a proven bound ([`crate::packets`]), and by integers where the bound does not settle it.
+//! floats with a proven bound ([`crate::packets`]), and by integers where that does not settle it.
 
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::Disc;

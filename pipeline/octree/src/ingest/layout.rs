@@ -3,8 +3,8 @@
 use pvmap_geometry::block::BLOCK_POINTS;
 use pvmap_geometry::{Frame, GridBlock, Intensity, PointBatch, Positions};
 use pvmap_vmap::frame::CrsKind;
-use pvmap_vmap::octree::{ColumnType, Schema};
 use pvmap_vmap::records::Source;
+use pvmap_vmap::schema::{ColumnType, Schema};
 
 use super::records::SLACK_BYTES;
 use crate::OctreeError;

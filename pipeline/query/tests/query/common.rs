@@ -11,6 +11,7 @@ use pvmap_vmap::frame::{CrsKind, FrameRecord};
 use pvmap_vmap::links::LinkEncoder;
 use pvmap_vmap::map::{SECTIONS, close_map, config_text};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
+use pvmap_vmap::tree::{fill_overhangs, root_node};
 use pvmap_vmap::{MapSummary, Node, Shape, Split, Surfel, Tree};
 
 /// A sample with an oriented normal, or [0; 3] without one.
@@ -46,21 +47,9 @@ pub(crate) fn random_points(rng: &mut Rng, n: usize) -> Vec<Sample> {
 pub(crate) fn grow(points: &[Sample], cut: Cut) -> Tree {
     let mut tree = Tree::default();
     if !points.is_empty() {
-        let root = Node {
-            parent: NO_PARENT,
-            end: 1,
-            first_surfel: 0,
-            end_surfel: 0,
-            n_points: 0,
-            first_code: 0,
-            level: 0,
-            bin: -1,
-            split: Split::Leaf,
-            slot: 0,
-            overhang: 0,
-        };
+        let root = Node { split: Split::Leaf, ..root_node(cut.shape, 0) };
         add(&mut tree, points, cut, root);
-        pvmap_vmap::tree::fill_overhangs(&mut tree);
+        fill_overhangs(&mut tree);
     }
     tree
 }

@@ -4,10 +4,9 @@ use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::{Frame, morton};
 use pvmap_vmap::container::{Written, align, head_bytes};
 use pvmap_vmap::frame::{CrsKind, FrameRecord};
-use pvmap_vmap::octree::{
-    CODE_STRIDE, ColumnType, PointNormal, SECTIONS, Schema, close_octree, digest_of,
-};
+use pvmap_vmap::octree::{CODE_STRIDE, PointNormal, SECTIONS, close_octree, digest_of};
 use pvmap_vmap::records::Record;
+use pvmap_vmap::schema::{ColumnType, Schema};
 use pvmap_vmap::tree::RoutingKey;
 use pvmap_vmap::{OctreeSummary, Source};
 
