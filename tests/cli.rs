@@ -395,7 +395,7 @@ fn progress_as_json_lines() {
 /// Starts a run, asks it to stop after a while, and waits for it: how it ended, and how long that
 /// took.
 fn stop(bench: &Bench, line: &str, signal: &str, after_ms: u64) -> Run {
-    let mut command = bench.command(line.split_whitespace());
+    let mut command = bench.stoppable(line.split_whitespace());
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child: Child = command.spawn().unwrap();
     std::thread::sleep(Duration::from_millis(after_ms));
@@ -476,7 +476,7 @@ fn f09_a_terminal_that_closes_stops_nothing_under_nohup() {
 #[test]
 fn exit_130_a_query_that_waits_for_rows_can_be_stopped() {
     let bench = room();
-    let mut command = bench.command("query room.vmap pairs -".split(' '));
+    let mut command = bench.stoppable("query room.vmap pairs -".split(' '));
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     // Held open: more rows may come at any time.

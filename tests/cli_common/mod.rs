@@ -83,6 +83,15 @@ impl Bench {
         command
     }
 
+    /// Prepares a run that can be stopped even where these tests run in the background of a shell,
+    /// which makes what it starts ignore SIGINT.
+    pub fn stoppable<A: AsRef<OsStr>>(&self, args: impl IntoIterator<Item = A>) -> Command {
+        let mut command = Command::new("env");
+        command.args(["--default-signal=INT,TERM,HUP", env!("CARGO_BIN_EXE_pvmap")]);
+        command.current_dir(self.folder.path()).args(args).stdin(Stdio::null());
+        command
+    }
+
     /// Runs the command to its end.
     pub fn run<A: AsRef<OsStr>>(&self, args: impl IntoIterator<Item = A>) -> Run {
         Run::of(self.command(args))

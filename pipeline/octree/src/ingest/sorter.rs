@@ -4,7 +4,6 @@
 //! so the order of the output depends on nothing else, and a bucket of coincident points can be
 //! split like any other.
 
-use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -25,9 +24,12 @@ type Key = u128;
 /// Most buckets of one pass; more would make the buffers of the workers too small.
 const MAX_BUCKETS: u64 = 1024;
 /// No bucket need be larger: it should sort within the cache of a core, more or less.
-const GOOD_BUCKET_BYTES: u64 = 4 << 20;
+const GOOD_BUCKET_BYTES: u64 = 2 << 20;
 /// Sorting a bucket holds its records, a 16-byte entry each, and the records in order.
 const SORT_FACTOR: f64 = 3.0;
+/// The level of the octree in whose cells buckets are looked up: its table fits the nearest cache.
+const COARSE_LEVEL: u8 = 4;
+const N_COARSE_CELLS: u64 = 1 << (3 * COARSE_LEVEL);
 /// Keys that choose the splitters of a bucket that is split again.
 const N_RESAMPLE: usize = 8192;
 
@@ -64,8 +66,8 @@ impl Shares {
 #[derive(Debug)]
 pub(crate) struct Pass {
     splitters: Vec<Key>,
-    /// The codes of the splitters.
-    codes: Vec<u64>,
+    /// For every coarse cell, and one more: the splitters in cells before it.
+    before: Vec<u32>,
     spill: Spill,
     buffer_bytes: usize,
 }
@@ -87,8 +89,10 @@ impl Pass {
         let n_buffers = (splitters.len() as u64 + 1) * shares.n_threads;
         let buffer_bytes = (shares.buffer_bytes / n_buffers).clamp(1 << 10, 256 << 10) as usize;
         let spill = Spill::new(folder, splitters.len() + 1, hold_bytes);
-        let codes = splitters.iter().map(|&s| code_of(s)).collect();
-        Pass { splitters, codes, spill, buffer_bytes }
+        let in_cells_before =
+            |cell: u64| splitters.partition_point(|&s| coarse_cell(s) < cell) as u32;
+        let before = (0..=N_COARSE_CELLS).map(in_cells_before).collect();
+        Pass { splitters, before, spill, buffer_bytes }
     }
 
     /// Makes one bucket without order, for records whose keys cannot be known yet.
@@ -96,7 +100,8 @@ impl Pass {
         let spill = Spill::new(folder, 1, shares.hold_bytes);
         let buffer_bytes =
             (shares.buffer_bytes / shares.n_threads).clamp(1 << 10, 256 << 10) as usize;
-        Pass { splitters: Vec::new(), codes: Vec::new(), spill, buffer_bytes }
+        let before = vec![0; N_COARSE_CELLS as usize + 1];
+        Pass { splitters: Vec::new(), before, spill, buffer_bytes }
     }
 
     pub(crate) fn spilled_bytes(&self) -> u64 {
@@ -107,7 +112,19 @@ impl Pass {
         // Zeroes of the system: a buffer that is never used takes no memory.
         let buffer = |_| Buffer { bytes: vec![0; self.buffer_bytes + SLACK_BYTES], n_bytes: 0 };
         let buffers = (0..=self.splitters.len()).map(buffer).collect();
-        Buffers { pass: self, buffers, last: 0, last_codes: 0..0 }
+        Buffers { pass: self, buffers }
+    }
+
+    /// Gives the bucket of a key: the splitters up to it. Most coarse cells have none of their
+    /// own, so a look at the table says it all.
+    #[inline(always)]
+    fn bucket_of(&self, key: Key) -> usize {
+        let cell = coarse_cell(key) as usize;
+        let (first, end) = (self.before[cell] as usize, self.before[cell + 1] as usize);
+        if first == end {
+            return first;
+        }
+        first + self.splitters[first..end].partition_point(|&s| s <= key)
     }
 }
 
@@ -116,10 +133,6 @@ impl Pass {
 struct Buffers<'a> {
     pass: &'a Pass,
     buffers: Vec<Buffer>,
-    /// The bucket of the record before, and the codes that lie in it whatever the ordinal: scans
-    /// are coherent, so it is tried first.
-    last: usize,
-    last_codes: Range<u64>,
 }
 
 /// Records on their way to a bucket.
@@ -149,13 +162,10 @@ impl Buffers<'_> {
     ) -> Result<(), StoreError> {
         let n_records = (records.len() - SLACK_BYTES) / record_bytes;
         for (i, at) in (0..n_records).zip((0..).step_by(record_bytes)) {
-            let key = key(i);
-            if !self.last_codes.contains(&code_of(key)) {
-                self.find(key);
-            }
-            let buffer = &mut self.buffers[self.last];
+            let bucket = self.pass.bucket_of(key(i));
+            let buffer = &mut self.buffers[bucket];
             if buffer.n_bytes + record_bytes > self.pass.buffer_bytes {
-                self.pass.spill.append(self.last, &buffer.bytes[..buffer.n_bytes])?;
+                self.pass.spill.append(bucket, &buffer.bytes[..buffer.n_bytes])?;
                 buffer.n_bytes = 0;
             }
             let to = &mut buffer.bytes[buffer.n_bytes..];
@@ -163,21 +173,6 @@ impl Buffers<'_> {
             buffer.n_bytes += record_bytes;
         }
         Ok(())
-    }
-
-    /// Finds the bucket of a key. Its code decides unless a splitter has the same: comparing those
-    /// alone needs no branch.
-    #[inline(always)]
-    fn find(&mut self, key: Key) {
-        let Pass { splitters, codes, .. } = self.pass;
-        let code = code_of(key);
-        self.last = codes.partition_point(|&c| c < code);
-        while splitters.get(self.last).is_some_and(|&s| s <= key) {
-            self.last += 1;
-        }
-        // The codes of the splitters themselves are shared with the neighbour.
-        let first = self.last.checked_sub(1).map_or(0, |i| codes[i] + 1);
-        self.last_codes = first..codes.get(self.last).copied().unwrap_or(u64::MAX);
     }
 
     fn finish(self) -> Result<(), StoreError> {
@@ -341,9 +336,10 @@ fn key(code: u64, ordinal: u64) -> Key {
     u128::from(code) << 64 | u128::from(ordinal)
 }
 
+/// Gives the number of the coarse cell a key lies in: the upper bits of its code.
 #[inline(always)]
-fn code_of(key: Key) -> u64 {
-    (key >> 64) as u64
+fn coarse_cell(key: Key) -> u64 {
+    (key >> 64) as u64 >> (3 * (morton::MAX_LEVEL - COARSE_LEVEL))
 }
 
 /// Sorts buckets and hands their records over in order.
