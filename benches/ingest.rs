@@ -1,4 +1,4 @@
-//! How fast scans become octrees: `cargo bench --bench ingest [-- POINTS]`.
+//! How fast scans become octrees: `cargo bench --bench ingest [-- POINTS] [PART OF A NAME]`.
 //!
 //! Generated rooms, without normal estimation: LAS of point format 7 in coherent and in random
 //! order, plain and with normals as extra bytes, with bounds that lie; LAZ; PLY with normals. Each
@@ -53,6 +53,8 @@ fn main() -> Result<(), Error> {
     let arguments: Vec<String> = std::env::args().collect();
     let as_test = !arguments.iter().any(|a| a == "--bench");
     let asked = arguments.iter().skip(1).find_map(|a| a.parse::<u64>().ok());
+    let is_word = |a: &&String| !a.starts_with('-') && a.parse::<u64>().is_err();
+    let wanted = arguments.iter().skip(1).find(is_word).map_or("", String::as_str);
     let n_points = asked.unwrap_or(if as_test { 20_000 } else { 20_000_000 });
     let folder = tempfile::tempdir().expect("the temporary folder can be written");
     println!("{n_points} points ({} for PLY), {} threads", n_points / 4, threads());
@@ -64,7 +66,7 @@ fn main() -> Result<(), Error> {
         "{:<22}{:>8}{:>9}{:>11}{:>10}{:>12}{:>10}",
         "input", "1 GiB", "128 MiB", "decoding", "/ 1 GiB", "/ 1 GiB", "/ octree"
     );
-    for case in &CASES {
+    for case in CASES.iter().filter(|case| case.name.contains(wanted)) {
         let input = folder.path().join(case.name);
         write(case, n_points / case.divisor, &input)?;
         measure(case, &input, n_points / case.divisor)?;

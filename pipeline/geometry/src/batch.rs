@@ -26,6 +26,24 @@ impl Positions {
         self.len() == 0
     }
 
+    /// Says whether all coordinates of the points from number `from` on are finite.
+    pub fn is_finite_from(&self, from: usize) -> bool {
+        match self {
+            Positions::Lattice(_) => true,
+            Positions::Single(v) => all(&v[from..], |x| x.is_finite()),
+            Positions::Double(v) => all(&v[from..], |x| x.is_finite()),
+        }
+    }
+
+    /// Keeps the first `n` points.
+    pub fn truncate(&mut self, n: usize) {
+        match self {
+            Positions::Lattice(v) => v.truncate(n),
+            Positions::Single(v) => v.truncate(n),
+            Positions::Double(v) => v.truncate(n),
+        }
+    }
+
     /// Finds the least and the greatest coordinate along each axis, as stored (lattice steps are
     /// exact in f64); `None` without points.
     pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
@@ -39,6 +57,12 @@ impl Positions {
             Positions::Double(v) => bounds(v),
         }
     }
+}
+
+/// Says whether all numbers are good, without a branch for each.
+#[inline(always)]
+fn all<T: Copy>(points: &[[T; 3]], is_good: impl Fn(T) -> bool) -> bool {
+    points.as_flattened().iter().fold(true, |good, &x| good & is_good(x))
 }
 
 /// Points looked at together: their twelve numbers are whole vectors.

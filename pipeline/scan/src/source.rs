@@ -152,7 +152,7 @@ impl StoredBounds {
     }
 
     /// Gives the bounds of a batch's coordinates.
-    fn of(positions: &Positions) -> StoredBounds {
+    pub(crate) fn of(positions: &Positions) -> StoredBounds {
         let bounds = positions.bounds().map(|(min, max)| StoredBounds { min, max });
         bounds.unwrap_or(StoredBounds::EMPTY)
     }
@@ -334,20 +334,18 @@ impl Source {
     /// # Errors
     /// As [`Source::read`].
     pub fn bounds_scan(&self, part: Range<u64>) -> Result<StoredBounds, ScanError> {
-        let mut bounds = StoredBounds::EMPTY;
         if let Content::Ply(ply) = &self.content {
             let file = self.reopen()?;
-            let mut reader = ply.reader(&file, self.index, part, self.options, true)?;
-            while let Some(batch) = self.settle(&file, reader.next(BOUNDS_BATCH))? {
-                bounds = bounds.join(&StoredBounds::of(&batch.positions));
-            }
+            let reader = self.settle(&file, ply.reader(&file, self.index, part, self.options))?;
+            let bounds = self.settle(&file, reader.bounds())?;
             self.check_unchanged(&file)?;
-        } else {
-            self.read(part, BOUNDS_BATCH, |batch| {
-                bounds = bounds.join(&StoredBounds::of(&batch.positions));
-                Ok::<(), ScanError>(())
-            })?;
+            return Ok(bounds);
         }
+        let mut bounds = StoredBounds::EMPTY;
+        self.read(part, BOUNDS_BATCH, |batch| {
+            bounds = bounds.join(&StoredBounds::of(&batch.positions));
+            Ok::<(), ScanError>(())
+        })?;
         Ok(bounds)
     }
 
@@ -358,7 +356,7 @@ impl Source {
     ) -> Result<Box<dyn PartReader + 'a>, ScanError> {
         match &self.content {
             Content::Las(las) => las.reader(file, self.index, part, self.options),
-            Content::Ply(ply) => ply.reader(file, self.index, part, self.options, false),
+            Content::Ply(ply) => Ok(Box::new(ply.reader(file, self.index, part, self.options)?)),
         }
     }
 

@@ -85,22 +85,27 @@ impl Spill {
         Ok(())
     }
 
-    /// Takes a bucket's bytes, appending them to `out`, and releases what it held.
+    /// Takes a bucket's bytes, which replace those of `out`, and releases what it held.
     ///
     /// # Errors
     /// Where the disk fails.
     pub fn take(&self, bucket: usize, out: &mut Vec<u8>) -> Result<(), StoreError> {
         let taken = std::mem::take(&mut *self.lock(bucket));
+        // What `out` has is written over: only what it lacks becomes zeroes first.
+        out.resize(taken.n_bytes as usize, 0);
+        let mut rest = out.as_mut_slice();
         for extent in taken.extents {
             match extent {
                 Extent::Held(bytes) => {
-                    out.extend_from_slice(&bytes);
+                    let (to, later) = rest.split_at_mut(bytes.len());
+                    to.copy_from_slice(&bytes);
                     self.held_bytes.fetch_sub(bytes.len() as u64, Ordering::Relaxed);
+                    rest = later;
                 }
                 Extent::OnDisk { offset_bytes, len_bytes } => {
-                    let start = out.len();
-                    out.resize(start + len_bytes, 0);
-                    self.read(&mut out[start..], offset_bytes)?;
+                    let (to, later) = rest.split_at_mut(len_bytes);
+                    self.read(to, offset_bytes)?;
+                    rest = later;
                 }
             }
         }

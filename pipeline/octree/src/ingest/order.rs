@@ -23,7 +23,6 @@ pub(crate) fn order(codes: &[u64], ordinal: impl Fn(usize) -> u64, order: &mut V
     for i in 1..ends.len() {
         ends[i] += ends[i - 1];
     }
-    order.clear();
     order.resize(codes.len(), 0);
     for (i, &code) in codes.iter().enumerate() {
         let end = &mut ends[drawer(code)];

@@ -4,8 +4,8 @@ use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::Ordering;
 
-use pvmap_geometry::block::BLOCK_POINTS;
-use pvmap_geometry::normal::{Normal, quantise};
+use pvmap_geometry::block::{BLOCK_POINTS, NormalBlock};
+use pvmap_geometry::normal::quantise;
 use pvmap_geometry::{GridBlock, GridPoint};
 use pvmap_store::sections::{Scattered, Section};
 use pvmap_store::{SectionFile, StoreError};
@@ -168,9 +168,9 @@ impl Job<'_> {
     }
 
     /// Reads the normal that the source of a record brought, given where in the record it is.
-    fn file_normal(record: &[u8], at: usize) -> Option<Normal> {
-        let mut fields = FieldReader::new(&record[at..]);
-        quantise(fields.three(FieldReader::f32))
+    #[inline(always)]
+    fn given_normal(record: &[u8], at: usize) -> [f32; 3] {
+        FieldReader::new(&record[at..]).three(FieldReader::f32)
     }
 
     /// Gives where in a record the normal is.
@@ -242,6 +242,7 @@ impl Receive for Writing<'_> {
         let normal_at = self.job.normal_at().filter(|_| self.rows == Rows::FromRecords);
         let mut tally = Tally::default();
         let mut block = GridBlock::default();
+        let mut normals = NormalBlock::default();
         for some in records.chunks(BLOCK_POINTS * stride) {
             let placed = placement.place(some, stride, &mut block);
             placed.expect("packed records name their source");
@@ -251,9 +252,12 @@ impl Receive for Writing<'_> {
                 (Rows::Estimated(_), _) => {}
                 (_, Some(at)) => {
                     for (i, record) in some.chunks_exact(stride).enumerate() {
-                        let normal = Job::file_normal(record, at);
-                        let known = normal.is_some();
-                        let normal = normal.unwrap_or_default();
+                        normals.set(i, Job::given_normal(record, at));
+                    }
+                    normals.quantise();
+                    for i in 0..some.len() / stride {
+                        let normal = normals.normal(i);
+                        let known = normal != [0; 3];
                         let row = PointNormal { normal, oriented: known, from_source: known };
                         rows.push(row.to_bytes());
                         tally.add(block.grid(i), &row);
@@ -335,7 +339,7 @@ impl SortedPoints for Sorted<'_> {
         out.clear();
         out.extend(bytes.chunks_exact(stride).map(|record| {
             let g = self.job.sorting.placement.grid(record);
-            let normal = self.normal_at.and_then(|at| Job::file_normal(record, at));
+            let normal = self.normal_at.and_then(|at| quantise(Job::given_normal(record, at)));
             KnownPoint { g: g.expect("packed records name their source"), normal }
         }));
         Ok(())

@@ -488,8 +488,7 @@ impl Sorting<'_> {
     ) -> Result<(), OctreeError> {
         let stride = self.layout.schema.record_bytes();
         let n_bytes = pass.spill.bucket_bytes(number) as usize;
-        bucket.records.clear();
-        bucket.records.reserve_exact(n_bytes + SLACK_BYTES);
+        bucket.records.reserve_exact((n_bytes + SLACK_BYTES).saturating_sub(bucket.records.len()));
         pass.spill.take(number, &mut bucket.records)?;
         bucket.codes.clear();
         bucket.rows.clear();

@@ -10,12 +10,12 @@ pub(crate) mod write;
 
 use std::ops::Range;
 
-use pvmap_geometry::PointBatch;
+use pvmap_geometry::{PointBatch, Positions};
 use pvmap_store::InputFile;
 
 use crate::bytes::BLOCK_BYTES;
 use crate::error::{ErrorKind, ScanError};
-use crate::source::{PartReader, ReadOptions, SourceInfo};
+use crate::source::{PartReader, ReadOptions, SourceInfo, StoredBounds};
 use header::{Element, Encoding, Header};
 use rows::{ListedRows, TextRows};
 use vertex::VertexLayout;
@@ -69,15 +69,14 @@ impl PlyFile {
         self.header.encoding != Encoding::Ascii && self.vertex.row_bytes().is_some()
     }
 
-    /// Reads a range of vertices of the file this was made from, all columns or places only.
+    /// Reads a range of vertices of the file this was made from.
     pub(crate) fn reader<'a>(
         &'a self,
         file: &'a InputFile,
         source: u32,
         part: Range<u64>,
         options: ReadOptions,
-        places_only: bool,
-    ) -> Result<Box<dyn PartReader + 'a>, ScanError> {
+    ) -> Result<VertexReader<'a>, ScanError> {
         let (rows, next) = if self.header.encoding == Encoding::Ascii {
             (Rows::Text(TextRows::new(file, &self.header, self.start)), 0)
         } else if self.is_seekable() {
@@ -90,7 +89,6 @@ impl PlyFile {
             file,
             source,
             options,
-            places_only,
             rows,
             next,
             end: part.end,
@@ -101,7 +99,7 @@ impl PlyFile {
             let n = reader.block().min(part.start - reader.next);
             reader.fill(n)?;
         }
-        Ok(Box::new(reader))
+        Ok(reader)
     }
 }
 
@@ -185,12 +183,11 @@ fn n_points(
 }
 
 /// Reads a range of vertices.
-struct VertexReader<'a> {
+pub(crate) struct VertexReader<'a> {
     ply: &'a PlyFile,
     file: &'a InputFile,
     source: u32,
     options: ReadOptions,
-    places_only: bool,
     rows: Rows<'a>,
     /// The vertex that comes next, and the one before which to stop.
     next: u64,
@@ -214,17 +211,10 @@ impl PartReader for VertexReader<'_> {
         }
         let n = (n as u64).min(self.end - self.next);
         let batch_end = self.next + n;
-        let mut batch = self.ply.layout.empty_batch(self.source, n as usize, self.places_only);
+        let mut batch = self.ply.layout.empty_batch(self.source, n as usize);
         while self.next < batch_end {
             let first = self.next;
-            let k = self.block().min(batch_end - first);
-            match self.fill(k) {
-                Ok(()) => {}
-                // A lenient read takes what a cut file has, not what a broken disk gives.
-                Err(e) if !self.options.lenient || e.kind() != ErrorKind::BadData => return Err(e),
-                Err(e) if self.file.failure().is_some() => return Err(e),
-                Err(_) => self.end = first,
-            }
+            self.take(batch_end - first)?;
             self.keep_finite(first, &mut batch)?;
             if self.end == first {
                 break;
@@ -244,10 +234,39 @@ impl VertexReader<'_> {
         (BLOCK_BYTES / self.ply.layout.row_bytes).max(1) as u64
     }
 
+    /// Fills `packed` with some of the next `n` rows. Where a cut file ends and the read is lenient,
+    /// `end` moves to the vertex that was the next.
+    fn take(&mut self, n: u64) -> Result<(), ScanError> {
+        let first = self.next;
+        match self.fill(self.block().min(n)) {
+            // A lenient read takes what a cut file has, not what a broken disk gives.
+            Err(e) if !self.options.lenient || e.kind() != ErrorKind::BadData => Err(e),
+            Err(e) if self.file.failure().is_some() => Err(e),
+            Err(_) => {
+                self.end = first;
+                Ok(())
+            }
+            Ok(()) => Ok(()),
+        }
+    }
+
+    /// Finds the bounds of the range, decoding nothing but places.
+    pub(crate) fn bounds(mut self) -> Result<StoredBounds, ScanError> {
+        let mut bounds = StoredBounds::EMPTY;
+        let mut positions = self.ply.layout.empty_positions(self.block() as usize);
+        while self.next < self.end {
+            let first = self.next;
+            self.take(self.end - first)?;
+            positions.truncate(0);
+            self.keep_finite_positions(first, &mut positions, |_| {})?;
+            bounds = bounds.join(&StoredBounds::of(&positions));
+        }
+        Ok(bounds)
+    }
+
     /// Fills `packed` with the next `n` rows; on failure it holds those before the broken one.
     fn fill(&mut self, n: u64) -> Result<(), ScanError> {
         let ply = self.ply;
-        self.packed.clear();
         match &mut self.rows {
             Rows::Fixed => {
                 let row_bytes = ply.layout.row_bytes as u64;
@@ -256,6 +275,7 @@ impl VertexReader<'_> {
                 self.file.read_exact_at(&mut self.packed, at)?;
             }
             Rows::Listed(rows) => {
+                self.packed.clear();
                 for record in self.next..self.next + n {
                     let good = self.packed.len();
                     let read = rows.read(&ply.vertex, record, &mut self.packed);
@@ -266,6 +286,7 @@ impl VertexReader<'_> {
                 }
             }
             Rows::Text(rows) => {
+                self.packed.clear();
                 for record in self.next..self.next + n {
                     rows.read(&ply.vertex, &ply.layout, record, &mut self.packed)?;
                 }
@@ -278,32 +299,46 @@ impl VertexReader<'_> {
     /// Moves the packed rows, the first of which is vertex `first`, into a batch; rows with a
     /// coordinate that is not finite are refused or dropped.
     fn keep_finite(&mut self, first: u64, batch: &mut PointBatch) -> Result<(), ScanError> {
+        let records = &mut batch.records;
+        self.keep_finite_positions(first, &mut batch.positions, |kept| records.extend(kept))?;
+        self.ply.layout.append_others(&self.packed, batch);
+        Ok(())
+    }
+
+    /// Appends the places of the packed rows to `positions` and gives `keep` their numbers. Rows
+    /// with a coordinate that is not finite are refused, or dropped from the packed ones too.
+    fn keep_finite_positions(
+        &mut self,
+        first: u64,
+        positions: &mut Positions,
+        mut keep: impl FnMut(Range<u64>),
+    ) -> Result<(), ScanError> {
         let layout = &self.ply.layout;
         let size = layout.row_bytes;
-        let n = self.packed.len() / size;
-        let is_finite = |row: &[u8]| layout.is_finite(row);
-        let Some(bad) = self.packed.chunks_exact(size).position(|row| !is_finite(row)) else {
-            batch.records.extend(first..first + n as u64);
-            layout.append(&self.packed, batch);
+        let (n_before, n) = (positions.len(), self.packed.len() / size);
+        layout.append_positions(&self.packed, positions);
+        if positions.is_finite_from(n_before) {
+            keep(first..first + n as u64);
             return Ok(());
-        };
-        if !self.options.skip_invalid {
-            let path = self.file.path().to_path_buf();
-            return Err(ScanError::NotFinite { path, record: first + bad as u64 });
         }
+        positions.truncate(n_before);
         let mut n_kept = 0;
-        for i in 0..n {
-            let (row, record) = (i * size..(i + 1) * size, first + i as u64);
-            if is_finite(&self.packed[row.clone()]) {
+        for (i, record) in (0..n).zip(first..) {
+            let row = i * size..(i + 1) * size;
+            if layout.is_finite(&self.packed[row.clone()]) {
                 self.packed.copy_within(row, n_kept * size);
-                batch.records.push(record);
+                keep(record..record + 1);
                 n_kept += 1;
-            } else {
+            } else if self.options.skip_invalid {
                 self.dropped.0 += 1;
                 self.dropped.1.get_or_insert(record);
+            } else {
+                let path = self.file.path().to_path_buf();
+                return Err(ScanError::NotFinite { path, record });
             }
         }
-        layout.append(&self.packed[..n_kept * size], batch);
+        self.packed.truncate(n_kept * size);
+        layout.append_positions(&self.packed, positions);
         Ok(())
     }
 }

@@ -109,25 +109,20 @@ impl VertexLayout {
         }
     }
 
-    /// Makes an empty batch with room for `n` points: all columns of the file, or places only.
-    pub(crate) fn empty_batch(&self, source: u32, n: usize, places_only: bool) -> PointBatch {
-        let has = |is_there: bool| is_there && !places_only;
+    /// Makes an empty batch with room for `n` points.
+    pub(crate) fn empty_batch(&self, source: u32, n: usize) -> PointBatch {
         PointBatch {
             source,
             records: Vec::with_capacity(n),
-            positions: if self.is_single {
-                Positions::Single(Vec::with_capacity(n))
-            } else {
-                Positions::Double(Vec::with_capacity(n))
-            },
-            color: has(self.color.is_some()).then(|| Vec::with_capacity(n)),
-            intensity: self.intensity.filter(|_| !places_only).map(|(_, kind)| match kind {
+            positions: self.empty_positions(n),
+            color: self.color.map(|_| Vec::with_capacity(n)),
+            intensity: self.intensity.map(|(_, kind)| match kind {
                 IntensityKind::U16 => Intensity::U16(Vec::with_capacity(n)),
                 IntensityKind::F32 => Intensity::F32(Vec::with_capacity(n)),
             }),
-            classification: has(self.classification.is_some()).then(|| Vec::with_capacity(n)),
-            gps_time: has(self.gps_time.is_some()).then(|| Vec::with_capacity(n)),
-            normal: has(self.normal.is_some()).then(|| Vec::with_capacity(n)),
+            classification: self.classification.map(|_| Vec::with_capacity(n)),
+            gps_time: self.gps_time.map(|_| Vec::with_capacity(n)),
+            normal: self.normal.map(|_| Vec::with_capacity(n)),
         }
     }
 
@@ -141,17 +136,29 @@ impl VertexLayout {
         }
     }
 
-    /// Appends the columns (not the record numbers) of packed rows to a batch made by
-    /// [`VertexLayout::empty_batch`].
-    pub(crate) fn append(&self, packed: &[u8], batch: &mut PointBatch) {
-        let rows = || packed.chunks_exact(self.row_bytes);
-        match &mut batch.positions {
-            Positions::Single(v) => {
-                v.extend(rows().map(|r| three(&self.position, r, Field::single)))
-            }
-            Positions::Double(v) => v.extend(rows().map(|r| three(&self.position, r, Field::real))),
+    /// Makes positions with room for `n` points.
+    pub(crate) fn empty_positions(&self, n: usize) -> Positions {
+        if self.is_single {
+            Positions::Single(Vec::with_capacity(n))
+        } else {
+            Positions::Double(Vec::with_capacity(n))
+        }
+    }
+
+    /// Appends the places of packed rows to positions made by [`VertexLayout::empty_positions`].
+    pub(crate) fn append_positions(&self, packed: &[u8], positions: &mut Positions) {
+        let rows = packed.chunks_exact(self.row_bytes);
+        match positions {
+            Positions::Single(v) => v.extend(rows.map(|r| three(&self.position, r, Field::single))),
+            Positions::Double(v) => v.extend(rows.map(|r| three(&self.position, r, Field::real))),
             Positions::Lattice(_) => {}
         }
+    }
+
+    /// Appends the other columns (not the record numbers) of packed rows to a batch made by
+    /// [`VertexLayout::empty_batch`].
+    pub(crate) fn append_others(&self, packed: &[u8], batch: &mut PointBatch) {
+        let rows = || packed.chunks_exact(self.row_bytes);
         if let (Some(fields), Some(normals)) = (self.normal, &mut batch.normal) {
             if fields.iter().all(|f| f.kind == Scalar::F32) {
                 normals.extend(rows().map(|r| three(&fields, r, Field::single)));
