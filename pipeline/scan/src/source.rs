@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use pvmap_geometry::{PointBatch, Positions};
 use pvmap_store::InputFile;
 use pvmap_store::input::Identity;
+use rayon::prelude::*;
 
 use crate::error::{ScanError, escaped};
 use crate::las::LasFile;
@@ -317,15 +318,13 @@ impl Source {
         }
         let file = self.reopen()?;
         let n_each = n_points / (parts.len() as u64).max(1);
-        let mut batches = Vec::with_capacity(parts.len());
-        for part in parts {
+        let read = |part: Range<u64>| {
             let some = part.start..part.end.min(part.start + n_each);
             let mut reader = self.settle(&file, self.reader(&file, some))?;
-            while let Some(batch) = self.settle(&file, reader.next(n_each as usize))? {
-                batches.push(batch);
-            }
-        }
-        Ok(batches)
+            self.settle(&file, reader.next(n_each as usize))
+        };
+        let batches: Result<Vec<_>, _> = parts.into_par_iter().map(read).collect();
+        Ok(batches?.into_iter().flatten().collect())
     }
 
     /// Finds the exact bounds of a range of records, decoding only their coordinates where the
