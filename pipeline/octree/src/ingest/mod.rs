@@ -116,10 +116,12 @@ impl<'w> Ingest<'w> {
         watch: &'w dyn Watch,
     ) -> Result<Ingest<'w>, OctreeError> {
         let layout = Layout::new(&plans);
-        let shares = Shares::new(options.memory_bytes, rayon::current_num_threads() as u64);
+        let record_bytes = layout.schema.record_bytes() as u64;
+        let n_threads = rayon::current_num_threads() as u64;
+        let shares = Shares::new(options.memory_bytes, n_threads, record_bytes);
         let folder = AtomicFolder::create(&options.output, options.overwrite)?;
         let n_declared: u64 = plans.iter().map(|p| p.n_declared).sum();
-        let total_bytes = n_declared.saturating_mul(layout.schema.record_bytes() as u64);
+        let total_bytes = n_declared.saturating_mul(record_bytes);
         require_disk(folder.temp_path(), n_declared, total_bytes, shares.hold_bytes)?;
         let guess = layout.declared_bounds(&plans).map(|b| layout.frame(Some(b)));
         let guess = guess.filter(|_| !samples.is_empty());

@@ -1,7 +1,7 @@
 //! The order of the records of one bucket, found without moving them.
 
 /// Points a drawer of the first step.
-const DRAWER_POINTS: usize = 16;
+const DRAWER_POINTS: usize = 4;
 
 /// Finds the order of points by (Morton code, ordinal): `order` gets their indices.
 ///

@@ -240,6 +240,8 @@ impl Receive for Writing<'_> {
         let Sorting { layout, placement, .. } = self.job.sorting;
         let stride = layout.schema.record_bytes();
         let normal_at = self.job.normal_at().filter(|_| self.rows == Rows::FromRecords);
+        codes.reserve_exact(records.len() / stride);
+        rows.reserve_exact(normal_at.map_or(0, |_| records.len() / stride));
         let mut tally = Tally::default();
         let mut block = GridBlock::default();
         let mut normals = NormalBlock::default();

@@ -25,8 +25,9 @@ type Key = u128;
 const MAX_BUCKETS: u64 = 1024;
 /// No bucket need be larger: it should sort within the cache of a core, more or less.
 const GOOD_BUCKET_BYTES: u64 = 2 << 20;
-/// Sorting a bucket holds its records, a 16-byte entry each, and the records in order.
-const SORT_FACTOR: f64 = 3.0;
+/// Bytes that sorting holds for a record beside the record: its code, its normal row, its place in
+/// the order and a share of the drawers.
+const SORT_BYTES: u64 = 8 + NORMAL_BYTES as u64 + 8 + 2;
 /// The level of the octree in whose cells buckets are looked up: its table fits the nearest cache.
 const COARSE_LEVEL: u8 = 4;
 const N_COARSE_CELLS: u64 = 1 << (3 * COARSE_LEVEL);
@@ -46,11 +47,13 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    pub(crate) fn new(memory_bytes: u64, n_threads: u64) -> Shares {
+    pub(crate) fn new(memory_bytes: u64, n_threads: u64, record_bytes: u64) -> Shares {
+        // A quarter of the memory is for buckets while they are sorted, one on each thread.
+        let n_records = memory_bytes / 4 / n_threads / (record_bytes + SORT_BYTES);
         Shares {
             hold_bytes: memory_bytes * 45 / 100,
             buffer_bytes: memory_bytes / 10,
-            bucket_bytes: (memory_bytes as f64 * 0.25 / SORT_FACTOR / n_threads as f64) as u64,
+            bucket_bytes: n_records * record_bytes,
             n_threads,
         }
     }
