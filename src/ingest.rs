@@ -270,7 +270,8 @@ fn report_oddities(sources: &[Source], reads: &[ReadReport], watch: &dyn Watch) 
         if read.n_dropped > 0 {
             let first = read.first_dropped.unwrap_or_default();
             watch.warn(&format!(
-                "{name}: dropped {} points with a coordinate that is not finite, the first is point {first}",
+                "{name}: dropped {} points with a coordinate that is not finite, \
+                 the first is point {first}",
                 read.n_dropped
             ));
         }

@@ -1,8 +1,8 @@
 //! What sees what in a point scan: the facade over the rooms of `pipeline/`.
 //!
-//! [`ingest()`] streams scan files into a sorted octree, [`build()`] cuts it and makes its visibility
-//! map, [`query`] answers from the map. The rooms know nothing of each other beyond the artifacts;
-//! what joins them, the configuration and the command line live here.
+//! [`ingest()`] streams scan files into a sorted octree, [`build()`] cuts it and makes its
+//! visibility map, [`query`] answers from the map. The rooms know nothing of each other beyond the
+//! artifacts; what joins them, the configuration and the command line live here.
 //!
 //! # Threads and memory
 //!
@@ -30,9 +30,10 @@
 //! use pvmap::{BuildConfig, IngestRequest, Limits, Quiet};
 //!
 //! # fn main() -> Result<(), pvmap::Error> {
-//! let limits = Limits::default();
-//! pvmap::ingest(&IngestRequest::new(["grotto.las".into()], "grotto.octree".into()), &limits, &Quiet)?;
-//! pvmap::build("grotto.octree".as_ref(), "grotto.vmap".as_ref(), &BuildConfig::default(), &limits, &Quiet)?;
+//! let (limits, config) = (Limits::default(), BuildConfig::default());
+//! let request = IngestRequest::new(["grotto.las".into()], "grotto.octree".into());
+//! pvmap::ingest(&request, &limits, &Quiet)?;
+//! pvmap::build("grotto.octree".as_ref(), "grotto.vmap".as_ref(), &config, &limits, &Quiet)?;
 //! # Ok(())
 //! # }
 //! ```

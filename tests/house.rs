@@ -1,9 +1,10 @@
-//! The table of rooms in `pipeline/README.md` is what `cargo metadata` says.
+//! The house is in order: the table of rooms in `pipeline/README.md` is what `cargo metadata` says,
+//! rows of the catalogue have tests, files and lines are of a size that is read at a glance.
 
 #![allow(clippy::unwrap_used)] // A panic is how a test fails.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The rooms of the table: name to imports.
@@ -75,5 +76,33 @@ fn every_row_of_the_catalogue_of_faults_has_a_named_test() {
     for row in [32, 33].into_iter().chain(42..=50).chain(52..=69) {
         let number = format!("f{row}_");
         assert!(names.iter().any(|name| name.starts_with(&number)), "no test of row F{row}");
+    }
+}
+
+/// The Rust files of a folder and those in it.
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn files_have_at_most_600_lines_of_at_most_100_characters() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found = Vec::new();
+    for folder in ["src", "pipeline", "tests", "benches"] {
+        sources(&root.join(folder), &mut found);
+    }
+    for path in found {
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.lines().count() <= 600, "{}", path.display());
+        for (line, number) in text.lines().zip(1..) {
+            assert!(line.chars().count() <= 100, "{}:{number}", path.display());
+        }
     }
 }

@@ -155,12 +155,15 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     let c = &built.report.counts;
     writeln!(
         out,
-        "  work      {} node pairs, {} candidates, {} segments ({} by discs met lately),\n            \
-         {} discs loaded, {} tests of 16 segments, {} settled exactly",
+        "  work      {} node pairs, {} candidates, {} segments ({} by discs met lately),",
         si(c.n_node_pairs as f64),
         si(c.n_candidates as f64),
         si(c.n_segments as f64),
         si(c.n_remembered as f64),
+    )?;
+    writeln!(
+        out,
+        "            {} discs loaded, {} tests of 16 segments, {} settled exactly",
         si(c.n_loaded as f64),
         si(c.n_tests as f64),
         si(c.n_exact as f64)

@@ -103,7 +103,8 @@ fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) ->
         let ([x0, y0, z0], [x1, y1, z1]) = (s.patch.min, s.patch.max);
         writeln!(
             out,
-            "{id},{cx},{cy},{cz},{nx},{ny},{nz},{},{x},{y},{z},{},{x0},{y0},{z0},{x1},{y1},{z1},{},{}",
+            "{id},{cx},{cy},{cz},{nx},{ny},{nz},{},\
+             {x},{y},{z},{},{x0},{y0},{z0},{x1},{y1},{z1},{},{}",
             s.radius2,
             s.level,
             s.n_points,

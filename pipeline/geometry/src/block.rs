@@ -1,8 +1,8 @@
 //! Points placed on the grid and given their Morton codes, and normals quantised, many at a time.
 //!
-//! The same numbers as [`Frame::grid_of_lattice`], [`morton::encode`] and [`quantise`](crate::normal::quantise) give
-//! one by one, in loops over an axis each that the compiler turns into vector instructions: four
-//! times as fast.
+//! The same numbers as [`Frame::grid_of_lattice`], [`morton::encode`] and
+//! [`quantise`](crate::normal::quantise) give one by one, in loops over an axis each that the
+//! compiler turns into vector instructions: four times as fast.
 
 use multiversion::multiversion;
 
@@ -191,13 +191,14 @@ mod tests {
         #[test]
         fn a_block_quantises_normals_as_they_are_quantised_one_by_one(
             n in prop::array::uniform3(any_component()),
-            // Halves lie between two numbers: a leg of 2·16384 + 1 halves and what is left.
-            tie in -40_000i32..40_000,
+            // A leg of so many halves of a step, the other as long as makes them exact.
+            halves in -32_768i16..=32_767,
             i in 0..BLOCK_POINTS,
         ) {
             let mut block = NormalBlock::default();
-            let tie = [tie as f32, 0.0, (32_768.0f32.powi(2) - (tie as f32).powi(2)).max(0.0).sqrt()];
-            for n in [n, tie] {
+            let leg = f32::from(halves);
+            let near_tie = [leg, 0.0, (32_768.0f32.powi(2) - leg.powi(2)).sqrt()];
+            for n in [n, near_tie] {
                 block.set(i, n);
                 block.quantise();
                 prop_assert_eq!(block.normal(i), normal::quantise(n).unwrap_or_default());

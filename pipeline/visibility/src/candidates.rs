@@ -161,10 +161,10 @@ impl Corridor {
     }
 }
 
-/// Bounds n·(x - c), four times over, for the places x of an end and the planes under a child: by n·c,
-/// which is sharp where the normals are alike, and by the directions from the child to the end (every
-/// centroid is where its disc can block), which is sharp where they are not. Every number is an
-/// integer below 2^44, so the f64 arithmetic is exact.
+/// Bounds n·(x - c), four times over, for the places x of an end and the planes under a child: by
+/// n·c, which is sharp where the normals are alike, and by the directions from the child to the end
+/// (every centroid is where its disc can block), which is sharp where they are not. Every number is
+/// an integer below 2^44, so the f64 arithmetic is exact.
 #[inline(always)]
 fn beside(family: &Family, k: usize, blockers: &Box3, end: &Doubled) -> (f64, f64) {
     let from = Doubled::new(blockers);
@@ -179,8 +179,8 @@ fn beside(family: &Family, k: usize, blockers: &Box3, end: &Doubled) -> (f64, f6
     (greater(low, direction - direction_half), less(high, direction + direction_half))
 }
 
-/// Bounds n·v, four times over, for the interval of normals under a child and a box of vectors; gives
-/// the middle and the half range.
+/// Bounds n·v, four times over, for the interval of normals under a child and a box of vectors;
+/// gives the middle and the half range.
 #[inline(always)]
 fn along(family: &Family, k: usize, v: &Doubled) -> (f64, f64) {
     let (mut middle, mut half) = (0.0, 0.0);

@@ -26,8 +26,8 @@ pub struct Ends {
     pub(crate) centroid: [[f32; MAX_ENDS]; 3],
     /// Each centroid and its opposite: the greatest of some are the corners of their box.
     pub(crate) corners: [[f32; 8]; MAX_ENDS],
-    /// Within which nothing blocks a segment of this end: rounded inward, and squared; 0 for profile
-    /// `paper`.
+    /// Within which nothing blocks a segment of this end: rounded inward, and squared; 0 for
+    /// profile `paper`.
     pub(crate) spared: [f32; MAX_ENDS],
     pub(crate) spared2: [f64; MAX_ENDS],
     normal: [[f64; MAX_ENDS]; 3],

@@ -1,5 +1,5 @@
-//! What loops over lanes share. A lane loop runs over arrays of fixed length and has no branches, so
-//! that the compiler can use what the processor has.
+//! What loops over lanes share. A lane loop runs over arrays of fixed length and has no branches,
+//! so that the compiler can use what the processor has.
 
 /// Walks the bits of a mask, lowest first.
 pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = usize> {

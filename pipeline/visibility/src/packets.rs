@@ -7,11 +7,12 @@
 //! 2. `sift`, one disc and sixteen segments in f32: a test without division of what may block.
 //! 3. `pierce`, one disc and eight segments in f64.
 //!
-//! **The bound of `cull`.** Normals are scaled to length 1; places are below 2^22, boxes below 2^24,
-//! so all are exact in f32. A distance n·x - n·c is off by at most 3·√3·2^-2 from its products,
-//! 2^-1 from the stored n·c and 1 from the difference, the spread of a box by 1: together less than
-//! `SLACK` steps. The share t is then off by less than 5·2^-24 of its size and so is the place of
-//! the cut, by 5·2^-2 steps, and by 2^-1 from its own product and sum: again less than `SLACK`.
+//! **The bound of `cull`.** Normals are scaled to length 1; places are below 2^22, boxes below
+//! 2^24, so all are exact in f32. A distance n·x - n·c is off by at most 3·√3·2^-2 from its
+//! products, 2^-1 from the stored n·c and 1 from the difference, the spread of a box by 1: together
+//! less than `SLACK` steps. The share t is then off by less than 5·2^-24 of its size and so is the
+//! place of the cut, by 5·2^-2 steps, and by 2^-1 from its own product and sum: again less than
+//! `SLACK`.
 //!
 //! **The bound of `sift`.** Let p and q be the ends and c the disc's centroid, n its normal scaled
 //! to length 1, M the largest |p - c| or |q - c| along an axis in the packet. Differences of grid
@@ -134,8 +135,8 @@ pub(crate) fn pack(block: [&Ends; 2], open: &[u64], packets: &mut Vec<Packet>) {
     }
 }
 
-/// What culling asks of sixteen discs, a lane each. A lane without a disc has a box in which nothing
-/// is.
+/// What culling asks of sixteen discs, a lane each. A lane without a disc has a box in which
+/// nothing is.
 #[derive(Debug, Clone)]
 pub(crate) struct DiscBatch {
     normal: [[f32; WIDTH]; 3],

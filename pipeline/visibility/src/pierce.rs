@@ -1,13 +1,13 @@
-//! A disc and eight segments in f64: whether it surely blocks them, surely does not, or floats do not
-//! know.
+//! A disc and eight segments in f64: whether it surely blocks them, surely does not, or floats do
+//! not know.
 //!
-//! Planes are exact in f64: n·c and its sums stay below 2^40. The crossing
-//! x = c_a + t·d has one rounded division and, an axis, one product and one sum of numbers below
-//! 2^24; then it is taken from a corner or a centroid, another sum. So each component is off by less
-//! than 2^-27 =: ε (five roundings of at most 2^-30). For |x - c_k| near R the square is then off by
-//! less than 2·√3·ε·R + 2^-50·R² < 2^-24·(R + 1) as R < 2^23; `margin` takes four times that. So it
-//! is with the way from an end, t·|d| or (1 - t)·|d|, which is off by less than 2^-29: both shares
-//! have relative errors of a few 2^-53 or absolute ones of 2^-53, and |d| < 2^24.
+//! Planes are exact in f64: n·c and its sums stay below 2^40. The crossing x = c_a + t·d has one
+//! rounded division and, an axis, one product and one sum of numbers below 2^24; then it is taken
+//! from a corner or a centroid, another sum. So each component is off by less than 2^-27 =: ε (five
+//! roundings of at most 2^-30). For |x - c_k| near R the square is then off by less than 2·√3·ε·R +
+//! 2^-50·R² < 2^-24·(R + 1) as R < 2^23; `margin` takes four times that. So it is with the way from
+//! an end, t·|d| or (1 - t)·|d|, which is off by less than 2^-29: both shares have relative errors
+//! of a few 2^-53 or absolute ones of 2^-53, and |d| < 2^24.
 
 use pvmap_geometry::disc::{Disc, Profile};
 
@@ -71,8 +71,8 @@ fn half_of(packet: &Packet, from: usize) -> ([[f64; HALF]; 3], [[f64; HALF]; 3])
     (near, far)
 }
 
-/// Tests a disc against eight segments of a packet, from a lane on: which it surely blocks, and which
-/// it blocks as far as floats know, a bit each. Source: DESIGN.md [V-2].
+/// Tests a disc against eight segments of a packet, from a lane on: which it surely blocks, and
+/// which it blocks as far as floats know, a bit each. Source: DESIGN.md [V-2].
 #[inline(always)]
 pub(crate) fn pierce(
     profile: Profile,

@@ -8,8 +8,9 @@ use crate::records::LinkBlock;
 
 /// The most a frame may decompress to; no file can make a reader allocate more.
 pub const MAX_CONTENT_BYTES: usize = 32_768;
-/// A frame is closed once its content has this size. A question decodes some frames whole: larger ones
-/// make it slower (four times at 64 KiB), smaller ones make the file larger (3 % against 64 KiB).
+/// A frame is closed once its content has this size. A question decodes some frames whole: larger
+/// ones make it slower (four times at 64 KiB), smaller ones make the file larger (3 % against 64
+/// KiB).
 const TARGET_CONTENT_BYTES: usize = 16_384;
 /// zstd level: 3 is where the ratio of delta-coded ids flattens out.
 const LEVEL: i32 = 3;
@@ -266,7 +267,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn f17_links_come_back(set in prop::collection::btree_set((0u32..50, 51u32..1_000_000), 0..500)) {
+        fn f17_links_come_back(
+            set in prop::collection::btree_set((0u32..50, 51u32..1_000_000), 0..500),
+        ) {
             let links: Vec<_> = set.into_iter().collect();
             prop_assert_eq!(decode_all(&encode(&links)), links);
         }
@@ -281,7 +284,10 @@ mod tests {
         }
 
         #[test]
-        fn f47_hostile_content_never_panics(content in prop::collection::vec(any::<u8>(), 0..200), n in 0usize..300) {
+        fn f47_hostile_content_never_panics(
+            content in prop::collection::vec(any::<u8>(), 0..200),
+            n in 0usize..300,
+        ) {
             let _ = read_lists(&content, n);
         }
     }

@@ -52,8 +52,8 @@ impl Tree {
 
 /// Fills in the overhangs of nodes, whose leaves have their patch boxes. [F-20]
 pub fn fill_overhangs(tree: &mut Tree) {
-    // The boxes of open nodes, each with the node they belong to: backwards in preorder the children
-    // come before their parent, the last child first.
+    // The boxes of open nodes, each with the node they belong to: backwards in preorder the
+    // children come before their parent, the last child first.
     let mut open: Vec<(u32, Box3)> = Vec::new();
     for id in (0..tree.nodes.len() as u32).rev() {
         let node = &mut tree.nodes[id as usize];

@@ -234,8 +234,8 @@ impl VertexReader<'_> {
         (BLOCK_BYTES / self.ply.layout.row_bytes).max(1) as u64
     }
 
-    /// Fills `packed` with some of the next `n` rows. Where a cut file ends and the read is lenient,
-    /// `end` moves to the vertex that was the next.
+    /// Fills `packed` with some of the next `n` rows. Where a cut file ends and the read is
+    /// lenient, `end` moves to the vertex that was the next.
     fn take(&mut self, n: u64) -> Result<(), ScanError> {
         let first = self.next;
         match self.fill(self.block().min(n)) {
