@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
+use pvmap_store::output::require_own;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
+use pvmap_vmap::container::Kind;
 use pvmap_vmap::octree::FILE_NAME;
 use pvmap_vmap::{FormatError, OctreeView};
 
@@ -25,17 +27,18 @@ pub struct Built {
 /// Where the folder or the file in it cannot be opened.
 pub fn open_octree(path: &Path) -> Result<Mapped, Error> {
     let points = path.join(FILE_NAME);
-    if path.exists() && !points.exists() {
-        let what = if path.is_dir() { "a folder without points" } else { "a file" };
-        return Err(Error::Data(format!(
-            "{}: not an octree ({what}); make one with pvmap ingest",
+    let meta = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
+    match Mapped::open(&points) {
+        Err(StoreError::NotFound { .. }) => Err(Error::Data(format!(
+            "{}: not an octree (a folder without points); make one with pvmap ingest",
             path.display()
-        )));
+        ))),
+        _ if !meta.is_dir() => Err(Error::Data(format!(
+            "{}: not an octree (a file); make one with pvmap ingest",
+            path.display()
+        ))),
+        opened => Ok(opened?),
     }
-    if !path.exists() {
-        return Err(StoreError::NotFound { path: path.to_path_buf() }.into());
-    }
-    Ok(Mapped::open(&points)?)
 }
 
 /// Cuts an octree as the configuration says and makes its visibility map.
@@ -70,6 +73,7 @@ fn run(
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
+    require_own(output, Kind::Map.start(), "a visibility map")?;
     let memory_bytes = limits.memory_bytes;
     let cut_options = CutOptions {
         max_level: config.max_level,

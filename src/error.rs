@@ -71,8 +71,9 @@ impl Error {
             | Error::Octree(OctreeError::Format(source))
             | Error::Query(QueryError::Format(source)) => of_format(source),
             Error::Octree(OctreeError::TooManyNodes) | Error::Config(_) => 78,
-            Error::Octree(OctreeError::Columns { .. }) => 70,
+            Error::Octree(OctreeError::Columns { .. } | OctreeError::Lost { .. }) => 70,
             Error::Visibility(VisibilityError::Compress(_)) => 70,
+            Error::Query(e) if e.kind() == pvmap_query::ErrorKind::Usage => 2,
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
             Error::Usage(_) => 2,
             Error::Threads(_) => 74,

@@ -7,8 +7,8 @@ use std::sync::{Mutex, PoisonError};
 
 use pvmap_octree::OctreeError;
 use pvmap_octree::ingest::{
-    ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation, PositionPlan,
-    SourcePlan, Turns,
+    Account, ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation,
+    PositionPlan, SourcePlan, Turns,
 };
 use pvmap_scan::{
     ColorRange, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, ScanError, Source,
@@ -102,9 +102,34 @@ fn run(request: &IngestRequest, limits: &Limits, watch: &dyn Watch) -> Result<In
     drop(samples);
     let reads = read_all(&sources, &job, watch)?;
     check_normals(request, &reads, &sources)?;
-    let dropped: Vec<u64> = reads.iter().map(|r| r.n_dropped).collect();
     report_oddities(&sources, &reads, watch);
-    Ok(Ingested { report: job.finish(&dropped)?, reads })
+    let account = |(source, read): (&Source, &ReadReport)| Account {
+        n_read: read.n_read,
+        n_invalid: read.n_dropped,
+        n_missing: source.info().n_missing + read.n_missing,
+        n_beyond: source.info().n_beyond,
+    };
+    if let Some((source, n)) = nothing_left(&sources, &reads) {
+        let path = source.info().path.display();
+        return Err(Error::Data(format!(
+            "{path}: declares {n} points, of what is left of it none can be read; copy it again"
+        )));
+    }
+    let accounts: Vec<Account> = sources.iter().zip(&reads).map(account).collect();
+    let report = job.finish(&accounts)?;
+    if report.summary.n_normals_estimated == 0 && request.orientation != Orientation::Unknown {
+        watch.warn("--sensor and --up had no effect: no normal was estimated");
+    }
+    Ok(Ingested { report, reads })
+}
+
+/// Finds a source that declares points, and their number, where a lenient ingest got none at all.
+fn nothing_left<'a>(sources: &'a [Source], reads: &[ReadReport]) -> Option<(&'a Source, u64)> {
+    if reads.iter().any(|r| r.n_read + r.n_dropped > 0) {
+        return None;
+    }
+    let missing = |(s, r): (&'a Source, &ReadReport)| (s, s.info().n_missing + r.n_missing);
+    sources.iter().zip(reads).map(missing).find(|&(_, n)| n > 0)
 }
 
 /// Opens all inputs, warning of what their headers say twice or wrongly.

@@ -20,7 +20,7 @@ impl Default for Limits {
 }
 
 /// More threads than any machine has cores for; a hundred thousand would eat its memory.
-const MAX_THREADS: usize = 1024;
+pub const MAX_THREADS: usize = 1024;
 
 impl Limits {
     /// Refuses a number of threads that can only be a slip.

@@ -33,6 +33,17 @@ fn exit_2_wrong_usage() {
         let run = bench.line(line).exits(2);
         assert!(!run.stderr.is_empty(), "{line}");
     }
+    for (line, words) in [
+        ("ingest a.ply --lenint", &["--lenint", "tip:", "'--lenient'"][..]),
+        ("query a.vmap pair 1,2,3", &["not provided: <X2,Y2,Z2>"]),
+        ("ingest a.ply --normals many", &["'many'", "possible values: auto"]),
+        ("build --max-level 0", &["--max-level", "1..=21"]),
+        ("build --memory 1MiB", &["--memory", "64MiB"]),
+        ("build --threads 1025", &["--threads", "1024"]),
+        ("ingest a.ply --threads 100000", &["--threads", "1024"]),
+    ] {
+        bench.line(line).fails(2, words);
+    }
     bench.line("ingest a.ply b.ply").fails(2, &["several scans", "-o NAME.octree"]);
     bench.line("build").fails(2, &["no *.octree here", "pvmap ingest"]);
     bench.line("scene empty -o a.obj").fails(2, &["a.obj", ".las, .laz or .ply"]);
@@ -162,10 +173,13 @@ fn exit_78_configuration() {
     bench.line("build --config large.toml").fails(78, &["large.toml", "larger than 1 MiB"]);
     bench.line("build --config /dev/zero").fails(78, &["/dev/zero", "no such configuration"]);
     bench.line("build --config depth80").fails(78, &["depth80", "depth8, paper, preview"]);
-    bench.line("build --max-level 0").fails(78, &["max_level = 0"]);
-    bench.line("build --memory 1MiB").fails(78, &["memory", "64MiB"]);
-    for line in ["build --threads 1025", "ingest room.ply --overwrite --threads 100000"] {
-        bench.line(line).fails(78, &["threads", "at most 1024"]);
+    for (line, words) in [
+        ("max_level = 0", ["max_level = 0", "1 to 21"]),
+        ("memory = \"1MiB\"", ["memory", "64MiB"]),
+        ("threads = 1025", ["threads = 1025", "at most 1024"]),
+    ] {
+        bench.write("range.toml", line);
+        bench.line("build --config range.toml").fails(78, &words);
     }
 }
 
@@ -295,6 +309,35 @@ fn f32_an_output_is_a_file_of_its_own() {
 }
 
 #[test]
+fn f32_what_is_not_pvmaps_own_is_never_replaced() {
+    let bench = room();
+    for folder in ["docs", "scans"] {
+        std::fs::create_dir(bench.path(folder)).unwrap();
+        bench.write(format!("{folder}/thesis"), "precious");
+    }
+    std::fs::copy(bench.path("room.ply"), bench.path("scans/room.ply")).unwrap();
+    std::os::unix::fs::symlink("docs", bench.path("link")).unwrap();
+    // A map that somebody keeps in the octree's folder.
+    bench.line("build room.octree -o room.octree/kept.vmap").ok();
+    let scan = bench.read("room.ply");
+    for line in [
+        "ingest room.ply -o docs --overwrite",
+        "ingest room.ply -o link --overwrite",
+        "ingest scans/room.ply -o scans --overwrite",
+        "ingest room.ply --overwrite",
+    ] {
+        bench.line(line).fails(73, &["other things", "another name"]);
+    }
+    bench.line("build room.octree -o scans/room.ply").fails(73, &["not a visibility map"]);
+    bench.line("build room.octree -o docs/thesis").fails(73, &["not a visibility map"]);
+    assert_eq!(bench.read("docs/thesis"), b"precious");
+    assert_eq!(bench.read("scans/thesis"), b"precious");
+    assert!(bench.read("scans/room.ply") == scan && bench.read("room.octree/kept.vmap") != scan);
+    bench.write("empty.vmap", "");
+    bench.line("build room.octree -o empty.vmap").ok();
+}
+
+#[test]
 fn f32_a_table_may_go_to_standard_output() {
     let bench = room();
     bench.line("export room.vmap --nodes N.csv --links L.csv").ok();
@@ -311,7 +354,9 @@ fn f32_a_table_may_go_to_standard_output() {
     let all = std::fs::File::options().append(true).open(bench.path("all.csv")).unwrap();
     assert!(command.stdout(all).status().unwrap().success());
     assert_eq!(bench.read("all.csv"), [&b"kept\n"[..], &bench.read("N.csv")].concat());
-    bench.line("export room.vmap --nodes - --links -").fails(2, &["two tables"]);
+    for places in ["--nodes - --links -", "--nodes N.csv --links ./N.csv"] {
+        bench.line(&format!("export room.vmap {places}")).fails(2, &["two tables"]);
+    }
     assert_eq!(
         bench.names(),
         ["L.csv", "N.csv", "all.csv", "room.octree", "room.ply", "room.vmap"]

@@ -12,7 +12,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use cli_common::{
-    Bench, LAS_BOUNDS, MIB, Run, TWO_THREADS, XYZ, data, floor, patch, ply_header, write_las,
+    Bench, LAS_BOUNDS, MIB, Run, TWO_THREADS, XYZ, data, floor, info, patch, ply_header, write_las,
 };
 
 /// Where a LAS 1.4 header has its number of points.
@@ -141,8 +141,39 @@ fn f53_count_less_than_what_is_there() {
     write_las(&bench.path("a.las"), 1000, floor(50));
     patch(&bench.path("a.las"), LAS_14_COUNT, &700u64.to_le_bytes());
     let run = bench.line("ingest a.las").ok();
-    run.warns(&["a.las", "declares 700 points but holds 1000"]);
+    let run = run.warns(&["a.las", "declares 700 points but holds 1000"]);
+    assert!(run.stdout.contains("700 stored + 0 not finite; 300 beyond"), "{}", run.stdout);
     assert_all_stored(&bench, "a.octree", 700);
+}
+
+#[test]
+fn d4_every_record_is_stored_or_counted_with_a_reason() {
+    let bench = Bench::new();
+    for (name, declared) in [("cut.las", 130u64), ("long.las", 60)] {
+        write_las(&bench.path(name), 100, floor(10));
+        patch(&bench.path(name), LAS_14_COUNT, &declared.to_le_bytes());
+    }
+    bench.write("a.ply", ply_header(3, &XYZ) + "0 0 0\nnan 0 0\n1 1 1\n");
+    let line = "ingest cut.las long.las a.ply -o a.octree --lenient --skip-invalid";
+    let run = bench.line(line).ok();
+    let sum = "163 read = 162 stored + 1 not finite; 30 declared are not there; 40 beyond";
+    assert!(run.stdout.contains(sum), "{}", run.stdout);
+    let info = info(&bench, "a.octree");
+    for (field, n) in [
+        ("points", 162),
+        ("records_read", 163),
+        ("records_invalid", 1),
+        ("records_missing", 30),
+        ("records_beyond_the_header", 40),
+    ] {
+        assert_eq!(info[field], n, "{field}");
+    }
+    // What is lenient still gives something, or says why not.
+    let laz = bench.path("b.laz");
+    write_las(&laz, 60_000, floor(300));
+    let n_bytes = laz.metadata().unwrap().len();
+    std::fs::File::options().write(true).open(&laz).unwrap().set_len(n_bytes / 2).unwrap();
+    bench.line("ingest b.laz --lenient").fails(65, &["b.laz", "60000", "none"]);
 }
 
 /// A broken file: its name, its bytes, and a part of the one line that refuses it.

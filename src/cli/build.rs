@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::config::{RawConfig, RawProfile, RawTree, at_lines};
 use pvmap::{Built, Error};
 
-use super::{Context, Outcome, mib, refuse_input};
+use super::{Context, Outcome, mib, refuse_input, threads_parser};
 use crate::progress::si;
 
 /// Cut an octree into surfels and make its visibility map.
@@ -51,7 +51,7 @@ pub(super) struct Args {
     #[arg(short, long, value_name = "NAME.vmap", verbatim_doc_comment)]
     output: Option<PathBuf>,
     /// Deepest level, 1 to 21: cells of 1/2^L of the extent [depth8: 8]
-    #[arg(long, value_name = "L")]
+    #[arg(long, value_name = "L", value_parser = clap::value_parser!(u8).range(1..=21))]
     max_level: Option<u8>,
     /// Most points of a leaf above the deepest level; 0 cuts all the way
     /// [depth8: 50]
@@ -72,10 +72,10 @@ pub(super) struct Args {
     #[arg(long, value_enum, value_name = "HOW", verbatim_doc_comment, hide_possible_values = true)]
     profile: Option<RawProfile>,
     /// Threads; 0 takes as many as the machine has [depth8: 0]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads_parser())]
     threads: Option<usize>,
     /// Most memory to hold, at least 64MiB [depth8: 1GiB]
-    #[arg(long, value_name = "SIZE")]
+    #[arg(long, value_name = "SIZE", value_parser = checked_memory)]
     memory: Option<String>,
 }
 
@@ -108,6 +108,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     })?;
     print(&output, &built, context)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Makes sure that a size is one for `memory`, as the configuration has it.
+fn checked_memory(text: &str) -> Result<String, String> {
+    pvmap::parse_memory(text).map(|_| text.to_owned())
 }
 
 /// Finds the octree of a folder that holds exactly one.

@@ -1,12 +1,13 @@
 //! `pvmap export`: the content of a map as tables.
 
+use std::ffi::OsStr;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, MapView};
-use pvmap::{Error, StoreError, TableFile, Watch};
+use pvmap::{Error, StoreError, TableFile, Watch, folder_of};
 
 use super::{Context, Outcome, map_file, refuse_input};
 
@@ -44,6 +45,13 @@ pub(super) struct Args {
 const SURFEL_HEADER: &str = "surfel,cx,cy,cz,nx,ny,nz,r2,cell_x,cell_y,cell_z,cell_level,\
 min_x,min_y,min_z,max_x,max_y,max_z,n_points,two_sided";
 
+/// Says whether two outputs, which need not be there, have one place.
+fn same_place(a: &Path, b: &Path) -> bool {
+    let place =
+        |path: &Path| (folder_of(path).canonicalize().ok(), path.file_name().map(OsStr::to_owned));
+    place(a) == place(b)
+}
+
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     if args.surfels.is_none() && args.nodes.is_none() && args.links.is_none() {
         let message = "nothing to write: give --surfels, --nodes or --links".to_owned();
@@ -53,7 +61,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         [&args.surfels, &args.nodes, &args.links].into_iter().flatten().collect();
     for (i, output) in outputs.iter().enumerate() {
         refuse_input(output, std::slice::from_ref(&args.map))?;
-        if outputs[..i].contains(output) {
+        if outputs[..i].iter().any(|other| same_place(other, output)) {
             let message = format!("{}: two tables cannot go to one place", output.display());
             return Err(Error::Usage(message).into());
         }

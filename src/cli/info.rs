@@ -95,6 +95,8 @@ fn octree(view: &OctreeView<'_>, n_bytes: usize) -> Result<Fields, FormatError> 
         ("points", one(s.n_points)),
         ("records_read", one(s.n_read)),
         ("records_invalid", one(s.n_invalid)),
+        ("records_missing", one(s.n_missing)),
+        ("records_beyond_the_header", one(s.n_beyond)),
         ("sources", Field::List(sources)),
         ("columns", with_text(columns.clone(), columns.join(" "))),
         ("normals", Field::Group(normals)),
@@ -105,7 +107,7 @@ fn octree(view: &OctreeView<'_>, n_bytes: usize) -> Result<Fields, FormatError> 
 
 fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
     let s = view.summary();
-    let n = u128::from(s.n_surfels);
+    let n = u64::from(s.n_surfels);
     let n_pairs = n * n.saturating_sub(1) / 2;
     let fewer = fewer_links(s.n_links, s.n_surfels);
     let config = view.config()?.trim_end();
@@ -116,9 +118,8 @@ fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
         ("points", one(s.n_points)),
         ("surfels", one(s.n_surfels)),
         ("nodes", one(s.n_nodes)),
-        // As a float: JSON readers seldom take an integer beyond 64 bits.
-        ("leaf_pairs", with_text(n_pairs as f64, n_pairs.to_string())),
-        ("visible_pairs", with_text(s.n_visible_pairs as f64, s.n_visible_pairs.to_string())),
+        ("leaf_pairs", one(n_pairs)),
+        ("visible_pairs", one(s.n_visible_pairs as u64)),
         ("links", one(s.n_links)),
         ("fewer_links_percent", with_text(fewer, format!("{fewer:.2}"))),
         ("config", with_text(config, config.replace('\n', ", "))),

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use pvmap::scan::ReadOptions;
 use pvmap::{Error, IngestRequest, Ingested, Limits, NormalsFrom, Orientation, Watch, memory};
 
-use super::{Context, Outcome, mib, parse_point, refuse_input};
+use super::{Context, Outcome, mib, parse_point, refuse_input, threads_parser};
 use crate::progress::si;
 
 /// Stream scan files into a sorted octree on disk.
@@ -38,7 +38,7 @@ pub(super) struct Args {
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
     /// Threads; 0 takes as many as the machine has
-    #[arg(long, default_value_t = 0, value_name = "N")]
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
     threads: usize,
     /// Where normals come from: auto (the file's where it has them, else
     /// estimated), file, estimate (whatever the file has) or none
@@ -128,6 +128,11 @@ fn output(args: &Args) -> Result<PathBuf, Error> {
     }
 }
 
+/// Says of so many records what is rarely so.
+fn some(n: u64, what: &str) -> String {
+    if n == 0 { String::new() } else { format!("; {n} {what}") }
+}
+
 fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io::Result<()> {
     let s = &done.report.summary;
     let stages = context.progress.take_stages();
@@ -137,8 +142,12 @@ fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io
     writeln!(out, "{}", request.output.display())?;
     writeln!(
         out,
-        "  records   {} read = {} stored + {} not finite",
-        s.n_read, s.n_points, s.n_invalid
+        "  records   {} read = {} stored + {} not finite{}{}",
+        s.n_read,
+        s.n_points,
+        s.n_invalid,
+        some(s.n_missing, "declared are not there"),
+        some(s.n_beyond, "beyond the header's count were not read")
     )?;
     writeln!(
         out,
@@ -153,10 +162,10 @@ fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io
         "  disk      {} and {} temporary{}",
         mib(done.report.output_bytes),
         mib(done.report.temporary_bytes),
-        if done.report.bounds_were_true {
-            ""
-        } else {
+        if done.report.bounds_were_wrong {
             " (the headers' bounds were not the true ones)"
+        } else {
+            ""
         }
     )?;
     let rate = s.n_points as f64 / seconds.max(1e-9);

@@ -85,7 +85,10 @@ type Outcome = anyhow::Result<ExitCode>;
 
 /// Runs the command; prints at most one line of error.
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => return explain(&e),
+    };
     let signal = Arc::new(AtomicUsize::new(0));
     // A question leaves nothing behind: it may end at the first signal.
     let at_once = matches!(cli.command, Command::Query(_) | Command::Info(_) | Command::Verify(_));
@@ -107,6 +110,30 @@ pub(crate) fn main() -> ExitCode {
         // The panic hook has said what happened.
         Err(_) => ExitCode::from(70),
     }
+}
+
+/// Prints the help that was asked for, or in one line what is wrong with the command line.
+fn explain(e: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    if !e.use_stderr() || e.kind() == DisplayHelpOnMissingArgumentOrSubcommand {
+        // Whoever read our output has seen enough.
+        let _ = e.print();
+        return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+    }
+    // What is wrong, then tips, each in lines of its own, then the usage.
+    let text = e.to_string();
+    let lines = text.lines().map(str::trim).take_while(|l| !l.starts_with("Usage:"));
+    let mut message = String::new();
+    for line in lines.filter(|l| !l.is_empty() && !l.starts_with("For more information")) {
+        message += match line {
+            _ if message.is_empty() => "",
+            _ if line.starts_with("tip:") => "; ",
+            _ => " ",
+        };
+        message += line.trim_start_matches("error: ");
+    }
+    report(&format!("{message}; --help tells more"));
+    ExitCode::from(2)
 }
 
 fn run(command: Command, context: &Context) -> Outcome {
@@ -220,6 +247,11 @@ fn map_file(path: &Path) -> Result<(PathBuf, pvmap::Mapped), Error> {
         return Ok((points, pvmap::open_octree(path)?));
     }
     Ok((path.to_path_buf(), pvmap::Mapped::open(path)?))
+}
+
+/// Reads a number of threads.
+fn threads_parser() -> clap::builder::RangedU64ValueParser<usize> {
+    clap::builder::RangedU64ValueParser::new().range(0..=pvmap::MAX_THREADS as u64)
 }
 
 /// Reads `x,y,z`.

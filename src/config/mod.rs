@@ -1,10 +1,9 @@
 //! The configuration of a build: TOML files, presets that ship with the command, checked values.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
+use pvmap_store::InputFile;
 use pvmap_visibility::VisibilityError;
 use pvmap_visibility::interaction::GIVEN_BYTES;
 use pvmap_vmap::Shape;
@@ -103,8 +102,7 @@ impl RawConfig {
     /// Where neither is there, the file cannot be read, or a key is unknown or has a bad value.
     pub fn find(name: &Path) -> Result<RawConfig, Error> {
         if name.is_file() {
-            let text =
-                read_text(name).map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
+            let text = read_text(name)?;
             let mut raw = parse(&name.display().to_string(), &text)?;
             raw.memory_bytes()
                 .and(raw.deepest_level())
@@ -216,13 +214,15 @@ fn parse(name: &str, text: &str) -> Result<RawConfig, Error> {
 /// The longest a configuration may be.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
 
-fn read_text(path: &Path) -> std::io::Result<String> {
-    let mut text = String::new();
-    let n_bytes = File::open(path)?.take(MAX_CONFIG_BYTES + 1).read_to_string(&mut text)?;
-    if n_bytes as u64 > MAX_CONFIG_BYTES {
-        return Err(std::io::Error::other("larger than 1 MiB; is it a configuration?"));
+fn read_text(path: &Path) -> Result<String, Error> {
+    let odd = |what: &str| Error::Config(format!("{}: {what}; give a TOML file", path.display()));
+    let file = InputFile::open(path)?;
+    if file.len_bytes() > MAX_CONFIG_BYTES {
+        return Err(odd("larger than 1 MiB"));
     }
-    Ok(text)
+    let mut bytes = vec![0; file.len_bytes() as usize];
+    file.read_exact_at(&mut bytes, 0)?;
+    String::from_utf8(bytes).map_err(|_| odd("not text"))
 }
 
 /// Reads an interaction list, CSV with the header `node_a,node_b`; hands out each pair with its

@@ -114,6 +114,10 @@ pub struct SourceInfo {
     pub format: String,
     /// Records in the file: what reading all of it gives or accounts for.
     pub n_points: u64,
+    /// Records that the header declares and the file cannot hold; only in a lenient read.
+    pub n_missing: u64,
+    /// Records that the file holds beyond the header's count; they are not read.
+    pub n_beyond: u64,
     /// Bytes of the file.
     pub len_bytes: u64,
     /// How coordinates are stored.
@@ -296,6 +300,11 @@ impl Source {
         let n_wanted = part.end.saturating_sub(part.start);
         report.n_missing = n_wanted - report.n_read - report.n_dropped;
         self.check_unchanged(&file)?;
+        if report.n_missing > 0 && !self.options.lenient {
+            let (path, declared) = (self.info.path.clone(), self.info.n_points);
+            let present = declared - report.n_missing;
+            return Err(E::from(ScanError::Short { path, declared, present }));
+        }
         Ok(report)
     }
 

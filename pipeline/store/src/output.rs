@@ -5,7 +5,7 @@
 //! stays. Anything else, such as a FIFO or a device, is refused before any work. Only a table,
 //! which is written from front to back, may also go to a stream ([`TableFile`]).
 
-use std::fs::{File, FileType, Permissions};
+use std::fs::{DirEntry, File, FileType, Permissions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
-use crate::StoreError;
+use crate::{InputFile, StoreError};
 
 /// A file that appears under its name only when [`AtomicFile::commit`] is called; dropped before,
 /// it leaves nothing behind.
@@ -195,6 +195,9 @@ pub fn is_stdout(path: &Path) -> bool {
     path == Path::new("-") || path == Path::new("/dev/stdout")
 }
 
+/// Why a folder is not replaced.
+const FOREIGN: &str = "the folder of that name holds other things; give another name";
+
 /// A folder that appears under its name only when [`AtomicFolder::commit`] is called; dropped
 /// before, it leaves nothing behind.
 #[derive(Debug)]
@@ -204,15 +207,60 @@ pub struct AtomicFolder {
     /// `path`, or what it links to.
     target: PathBuf,
     overwrite: bool,
+    only: OnlyFile,
+}
+
+/// The one file of a folder, by its name and its first bytes.
+#[derive(Debug, Clone, Copy)]
+pub struct OnlyFile {
+    /// Its name.
+    pub name: &'static str,
+    /// What it begins with.
+    pub start: &'static [u8],
+}
+
+impl OnlyFile {
+    /// Says whether a folder holds nothing else; it may be empty.
+    fn is_all_of(&self, folder: &Path) -> bool {
+        let Ok(entries) = std::fs::read_dir(folder) else { return false };
+        let is_it = |e: io::Result<DirEntry>| {
+            e.is_ok_and(|e| e.file_name() == self.name && begins_with(&e.path(), self.start))
+        };
+        entries.into_iter().all(is_it)
+    }
+}
+
+/// Says whether a regular file begins with these bytes.
+fn begins_with(path: &Path, start: &[u8]) -> bool {
+    let mut found = vec![0; start.len()];
+    let read = |file: InputFile| file.read_exact_at(&mut found, 0);
+    InputFile::open(path).and_then(read).is_ok() && found == start
+}
+
+/// Refuses to replace a file that is there and not empty, unless it begins as one of its kind.
+///
+/// # Errors
+/// Where it does not.
+pub fn require_own(path: &Path, start: &[u8], kind: &str) -> Result<(), StoreError> {
+    let is_empty = |meta: std::fs::Metadata| !meta.is_file() || meta.len() == 0;
+    if std::fs::metadata(path).map_or(true, is_empty) || begins_with(path, start) {
+        return Ok(());
+    }
+    refuse(path, format!("a file of that name is not {kind}; give another name or remove it"))
 }
 
 impl AtomicFolder {
-    /// Starts an output folder beside its final name.
+    /// Starts an output folder beside its final name, in which one file will be. A folder with
+    /// anything else in it is not replaced.
     ///
     /// # Errors
     /// Where something is under that name already and `overwrite` is not set, what is there is not
-    /// a folder, or the parent does not exist or may not be written.
-    pub fn create(path: &Path, overwrite: bool) -> Result<AtomicFolder, StoreError> {
+    /// such a folder, or the parent does not exist or may not be written.
+    pub fn create(
+        path: &Path,
+        overwrite: bool,
+        only: OnlyFile,
+    ) -> Result<AtomicFolder, StoreError> {
         let target = match standing(path)? {
             (_, Some(kind)) if !kind.is_dir() => {
                 return refuse(path, format!("{} has that name; give another", word_of(kind)));
@@ -220,11 +268,14 @@ impl AtomicFolder {
             (_, Some(_)) if !overwrite => {
                 return refuse(path, "it exists already; --overwrite replaces it".to_owned());
             }
+            (target, Some(_)) if !only.is_all_of(&target) => {
+                return refuse(path, FOREIGN.to_owned());
+            }
             (target, _) => target,
         };
         let temp = TempDir::with_prefix_in(".pvmap-", folder_of(&target))
             .map_err(|e| cannot_create(path, e))?;
-        Ok(AtomicFolder { temp, path: path.to_path_buf(), target, overwrite })
+        Ok(AtomicFolder { temp, path: path.to_path_buf(), target, overwrite, only })
     }
 
     /// Gives the folder to write into.
@@ -247,6 +298,9 @@ impl AtomicFolder {
         let flags = if exists { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
         if exists && !self.overwrite {
             return Err(fail(rustix::io::Errno::EXIST));
+        }
+        if exists && !self.only.is_all_of(target) {
+            return refuse(path, FOREIGN.to_owned());
         }
         renameat_with(CWD, temp, CWD, target, flags).map_err(fail)?;
         sync_folder(folder_of(target))?;
@@ -347,6 +401,8 @@ fn umask() -> u32 {
 mod tests {
     use super::*;
 
+    const NOTE: OnlyFile = OnlyFile { name: "note", start: b"NOTE" };
+
     /// Names and the bytes or "folder" behind them, without temporary ones left behind.
     fn names(folder: &Path) -> Vec<String> {
         let entries = std::fs::read_dir(folder).unwrap();
@@ -388,7 +444,8 @@ mod tests {
             assert!(reason_of(AtomicFile::create(Path::new(name))).contains("no name"), "{name}");
         }
         for (name, word) in [("file", "a file"), ("fifo", "a FIFO"), ("folder", "--overwrite")] {
-            assert!(reason_of(AtomicFolder::create(&at(name), false)).contains(word), "{name}");
+            let reason = reason_of(AtomicFolder::create(&at(name), false, NOTE));
+            assert!(reason.contains(word), "{name}: {reason}");
         }
         assert_eq!(names(folder.path()), ["fifo", "file", "folder", "socket"]);
         assert_eq!(std::fs::read(at("file")).unwrap(), b"old");
@@ -411,13 +468,36 @@ mod tests {
         output.commit().unwrap();
         assert_eq!(std::fs::read(other.path().join("file")).unwrap(), b"new");
 
-        let output = AtomicFolder::create(&tree, true).unwrap();
+        let output = AtomicFolder::create(&tree, true, NOTE).unwrap();
         std::fs::write(output.temp_path().join("points"), "").unwrap();
         output.commit().unwrap();
         assert_eq!(names(&tree), ["points"]);
         assert!([&file, &tree].iter().all(|l| l.is_symlink()));
         assert!(reason_of(AtomicFile::create(&nowhere)).contains("leads nowhere"));
         assert_eq!((names(folder.path()).len(), names(other.path()).len()), (3, 2));
+    }
+
+    #[test]
+    fn f32_a_folder_with_other_things_in_it_is_never_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let tree = folder.path().join("tree");
+        std::fs::create_dir(&tree).unwrap();
+        let make = || AtomicFolder::create(&tree, true, NOTE);
+        assert!(make().is_ok(), "an empty one may be");
+        std::fs::write(tree.join("note"), "NOTES").unwrap();
+        assert!(make().is_ok(), "one of its kind may be");
+        for (name, content) in [("note", "NOT a note"), ("note", "NO"), ("thesis", "NOTES")] {
+            std::fs::write(tree.join("note"), "NOTES").unwrap();
+            std::fs::write(tree.join(name), content).unwrap();
+            assert!(reason_of(make()).contains("other things"), "{name}: {content}");
+        }
+        // What comes while the output is made is safe too.
+        std::fs::remove_file(tree.join("thesis")).unwrap();
+        let output = make().unwrap();
+        std::fs::write(tree.join("thesis"), "precious").unwrap();
+        assert!(reason_of(output.commit()).contains("other things"));
+        assert_eq!(names(&tree), ["note", "thesis"]);
+        assert_eq!(names(folder.path()), ["tree"]);
     }
 
     #[test]

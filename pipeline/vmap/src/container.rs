@@ -30,10 +30,11 @@ pub enum Kind {
 }
 
 impl Kind {
-    fn tag(self) -> [u8; 4] {
+    /// Gives the first bytes of its files: [`MAGIC`] and a tag. [F-2]
+    pub const fn start(self) -> &'static [u8; 12] {
         match self {
-            Kind::Map => *b"VMAP",
-            Kind::Octree => *b"OCTR",
+            Kind::Map => b"\x89PVM\r\n\x1a\nVMAP",
+            Kind::Octree => b"\x89PVM\r\n\x1a\nOCTR",
         }
     }
 
@@ -108,8 +109,7 @@ pub fn close(kind: Kind, sections: &[Written]) -> Closing {
     }
     row(sections.len(), SUMS, sums_offset_bytes, sums.len() as u64, 4, 0);
     let mut w = FieldWriter::new(header);
-    w.raw(&MAGIC);
-    w.raw(&kind.tag());
+    w.raw(kind.start());
     w.u16(MAJOR);
     w.u16(MINOR);
     w.u64(sums_offset_bytes + sums.len() as u64);
@@ -350,8 +350,7 @@ impl<'a> Container<'a> {
 
 /// Says which artifact the first bytes of a file belong to, if any.
 pub fn kind_of(bytes: &[u8]) -> Option<Kind> {
-    let tag = bytes.strip_prefix(&MAGIC)?.get(..4)?;
-    [Kind::Map, Kind::Octree].into_iter().find(|k| k.tag() == tag)
+    [Kind::Map, Kind::Octree].into_iter().find(|k| bytes.starts_with(k.start()))
 }
 
 struct Header {

@@ -340,6 +340,10 @@ pub struct OctreeSummary {
     pub n_read: u64,
     /// Records dropped because a coordinate was not finite.
     pub n_invalid: u64,
+    /// Records that headers declare and cut files do not hold.
+    pub n_missing: u64,
+    /// Records that files hold beyond their headers' counts, not read.
+    pub n_beyond: u64,
     /// Points whose normal came from their source.
     pub n_normals_file: u64,
     /// Points whose normal was estimated.
@@ -367,6 +371,8 @@ impl Record for OctreeSummary {
         w.u128(self.digest);
         w.u32(self.normals);
         w.u32(self.orientation);
+        w.u64(self.n_missing);
+        w.u64(self.n_beyond);
     }
 
     fn read(r: &mut FieldReader<'_>) -> Option<OctreeSummary> {
@@ -380,6 +386,8 @@ impl Record for OctreeSummary {
             digest: r.u128(),
             normals: r.u32(),
             orientation: r.u32(),
+            n_missing: r.u64(),
+            n_beyond: r.u64(),
         };
         // [F-8]: every record is either stored or counted with a reason.
         let sum = summary.n_points.checked_add(summary.n_invalid)?;

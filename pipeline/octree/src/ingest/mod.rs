@@ -21,9 +21,11 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicU64;
 
 use pvmap_geometry::{Frame, PointBatch};
+use pvmap_store::output::OnlyFile;
 use pvmap_store::{AtomicFolder, StoreError, Watch, memory};
 use pvmap_vmap::OctreeSummary;
-use pvmap_vmap::octree::{NORMAL_BYTES, Placement};
+use pvmap_vmap::container::Kind;
+use pvmap_vmap::octree::{FILE_NAME, NORMAL_BYTES, Placement};
 
 use crate::OctreeError;
 use layout::Layout;
@@ -32,6 +34,9 @@ pub use orient::Orientation;
 pub use sorter::Worker;
 use sorter::{Pass, Seen, Shares, Sorting, sample_keys};
 pub use turns::Turns;
+
+/// What an octree folder holds.
+const POINTS: OnlyFile = OnlyFile { name: FILE_NAME, start: Kind::Octree.start() };
 
 /// Where normals come from. Source: DESIGN.md [D-5].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -76,6 +81,19 @@ pub struct IngestOptions {
     pub orientation: Orientation,
 }
 
+/// What became of the records of a source, as its reader counts them. [D-4]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Account {
+    /// Points handed over.
+    pub n_read: u64,
+    /// Records dropped because a coordinate was not finite.
+    pub n_invalid: u64,
+    /// Records that the header declares and a cut file does not hold.
+    pub n_missing: u64,
+    /// Records that the file holds beyond the header's count, not read.
+    pub n_beyond: u64,
+}
+
 /// What an ingest did.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IngestReport {
@@ -85,8 +103,8 @@ pub struct IngestReport {
     pub output_bytes: u64,
     /// Bytes written to temporary files.
     pub temporary_bytes: u64,
-    /// Whether the headers' bounds were the true ones.
-    pub bounds_were_true: bool,
+    /// Whether the bounds that the headers declare were wrong, so that records were sorted anew.
+    pub bounds_were_wrong: bool,
 }
 
 /// An ingest that takes batches.
@@ -119,7 +137,7 @@ impl<'w> Ingest<'w> {
         let record_bytes = layout.schema.record_bytes() as u64;
         let n_threads = rayon::current_num_threads() as u64;
         let shares = Shares::new(options.memory_bytes, n_threads, record_bytes);
-        let folder = AtomicFolder::create(&options.output, options.overwrite)?;
+        let folder = AtomicFolder::create(&options.output, options.overwrite, POINTS)?;
         let n_declared: u64 = plans.iter().map(|p| p.n_declared).sum();
         let total_bytes = n_declared.saturating_mul(record_bytes);
         require_disk(folder.temp_path(), n_declared, total_bytes, shares.hold_bytes)?;
@@ -142,13 +160,13 @@ impl<'w> Ingest<'w> {
         Worker::new(&self.layout, self.guess, &self.pass, &self.seen)
     }
 
-    /// Sorts what was taken and makes the artifact. `n_invalid` counts, a source each, the records
-    /// that its reader dropped.
+    /// Sorts what was taken and makes the artifact. `accounts` says, a source each, what became of
+    /// the records by its reader's own count; it is held against what the workers took. [D-4]
     ///
     /// # Errors
-    /// Where the disk fails, the run is asked to stop or the budget is too small; nothing is left
-    /// behind then.
-    pub fn finish(self, n_invalid: &[u64]) -> Result<IngestReport, OctreeError> {
+    /// Where a point was lost, the disk fails, the run is asked to stop or the budget is too small;
+    /// nothing is left behind then.
+    pub fn finish(self, accounts: &[Account]) -> Result<IngestReport, OctreeError> {
         let Ingest { options, mut layout, plans, folder, shares, guess, pass, seen, watch } = self;
         let seen = seen.into_inner().unwrap_or_else(|e| e.into_inner());
         let frame = layout.frame(seen.bounds);
@@ -156,7 +174,15 @@ impl<'w> Ingest<'w> {
         for (i, source) in layout.sources.iter_mut().enumerate() {
             let found = seen.sources.get(i).copied().unwrap_or_default();
             source.n_stored = found.n_points;
-            source.n_invalid = n_invalid.get(i).copied().unwrap_or(0);
+            let account = accounts.get(i).copied().unwrap_or_default();
+            if account.n_read != found.n_points {
+                return Err(OctreeError::Lost {
+                    source_index: i as u32,
+                    n_read: account.n_read,
+                    n_taken: found.n_points,
+                });
+            }
+            source.n_invalid = account.n_invalid;
             source.color_depth = plans[i].color.depth(found.color_max);
         }
         let placement = Placement::new(&layout.schema, frame, &layout.sources);
@@ -168,8 +194,8 @@ impl<'w> Ingest<'w> {
             watch,
             spilled: AtomicU64::new(pass.spilled_bytes()),
         };
-        let bounds_were_true = guess == Some(frame) || n_points == 0;
-        let pass = if bounds_were_true {
+        let bounds_were_wrong = guess.is_some_and(|guess| guess != frame) && n_points > 0;
+        let pass = if guess == Some(frame) || n_points == 0 {
             pass
         } else {
             watch.stage("distribute", Some(n_points), "points");
@@ -183,9 +209,10 @@ impl<'w> Ingest<'w> {
             plans: &plans,
             n_points,
             n_normals: seen.sources.iter().map(|s| s.n_normals).sum(),
+            accounts,
         };
         let mut report = job.run(pass)?;
-        report.bounds_were_true = bounds_were_true;
+        report.bounds_were_wrong = bounds_were_wrong;
         folder.commit()?;
         Ok(report)
     }

@@ -22,7 +22,7 @@ use pvmap_vmap::tree::RoutingKey;
 use super::orient::OrientInFrame;
 use super::records::gather;
 use super::sorter::{Bucket, Pass, Receive, Sorting};
-use super::{IngestOptions, IngestReport, SourcePlan};
+use super::{Account, IngestOptions, IngestReport, SourcePlan};
 use crate::OctreeError;
 use crate::normals::{self, Estimate, KnownPoint, Sign, SortedPoints, Wanted};
 
@@ -34,6 +34,8 @@ pub(crate) struct Job<'a> {
     pub(crate) n_points: u64,
     /// Points whose source brought a usable normal.
     pub(crate) n_normals: u64,
+    /// What became of the records, a source each.
+    pub(crate) accounts: &'a [Account],
 }
 
 /// How the normal rows come about.
@@ -117,7 +119,7 @@ impl Job<'_> {
             summary,
             output_bytes,
             temporary_bytes: self.sorting.spilled.load(Ordering::Relaxed),
-            bounds_were_true: true,
+            bounds_were_wrong: false,
         })
     }
 
@@ -206,18 +208,22 @@ impl Job<'_> {
     }
 
     fn summary(&self, tally: Tally) -> OctreeSummary {
-        let sources = &self.sorting.layout.sources;
-        let n_invalid = sources.iter().map(|s| s.n_invalid).sum();
+        let sum = |count: fn(&Account) -> u64| self.accounts.iter().map(count).sum();
         OctreeSummary {
             n_points: self.n_points,
-            n_read: self.n_points + n_invalid,
-            n_invalid,
+            n_read: sum(|a| a.n_read + a.n_invalid),
+            n_invalid: sum(|a| a.n_invalid),
+            n_missing: sum(|a| a.n_missing),
+            n_beyond: sum(|a| a.n_beyond),
             n_normals_file: tally.n_file,
             n_normals_estimated: tally.n_estimated,
             n_oriented: tally.n_oriented,
             digest: tally.digest,
             normals: self.options.normals.code(),
-            orientation: self.options.orientation.code(),
+            orientation: match tally.n_estimated {
+                0 => 0,
+                _ => self.options.orientation.code(),
+            },
         }
     }
 }

@@ -52,6 +52,7 @@ impl LasFile {
         let n_present = laz
             .as_ref()
             .map_or_else(|| header.n_records_fit()..=header.n_records_fit(), Laz::n_points);
+        let n_sure = if header.is_compressed && laz.is_none() { 0 } else { *n_present.start() };
         let n_points = reconcile(file, &header, n_present, options.lenient, &mut warnings)?;
         let crs = records.into_crs();
         if crs.as_ref().is_some_and(|c| c.is_geographic()) {
@@ -66,6 +67,8 @@ impl LasFile {
             path: file.path().to_path_buf(),
             format: format!("{name} {major}.{minor}, point format {}", header.point_format),
             n_points,
+            n_missing: header.n_points.saturating_sub(n_points),
+            n_beyond: n_sure.saturating_sub(n_points),
             len_bytes: file.len_bytes(),
             kind: PositionKind::Lattice { scale: header.scale, offset: header.offset },
             bounds: header.bounds,

@@ -54,6 +54,8 @@ impl PlyFile {
             path: file.path().to_path_buf(),
             format: format!("PLY 1.0, {encoding}"),
             n_points,
+            n_missing: vertex.count - n_points,
+            n_beyond: 0,
             len_bytes: file.len_bytes(),
             kind: layout.kind(),
             bounds: None,
