@@ -1,12 +1,12 @@
 //! How fast scans become octrees: `cargo bench --bench ingest [-- POINTS] [PART OF A NAME]`.
 //!
-//! Generated rooms, without normal estimation: LAS of point format 7 in coherent and in random
-//! order, plain and with normals as extra bytes, with bounds that lie; LAZ; PLY with normals. Each
-//! is taken in with 1 GiB and with 128 MiB. A row an input, medians of five runs that take turns:
+//! Generated rooms, without normal estimation but for the last: LAS of point format 7 in coherent
+//! and in random order, plain and with normals as extra bytes, with bounds that lie; LAZ; PLY with
+//! normals; LAS whose normals are estimated. Each is taken in with 1 GiB and with 128 MiB. A row an input, medians of five runs that take turns:
 //! million points a second with either budget and of decoding alone, the time with the small
 //! budget over that with the large one, the share of decoding in the time with the large one, and
 //! the bytes written over the bytes of the octree (the larger of the two budgets). Without
-//! arguments 20 million points (5 million for PLY); run as a test, a small number.
+//! arguments 20 million points (5 million for the last two); run as a test, a small number.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -32,13 +32,14 @@ struct Case {
     shuffle: bool,
     normals: bool,
     lies: bool,
+    estimate: bool,
 }
 
 const fn case(name: &'static str, shuffle: bool, normals: bool) -> Case {
-    Case { name, divisor: 1, shuffle, normals, lies: false }
+    Case { name, divisor: 1, shuffle, normals, lies: false, estimate: false }
 }
 
-const CASES: [Case; 8] = [
+const CASES: [Case; 9] = [
     case("coherent.las", false, false),
     case("shuffled.las", true, false),
     case("coherent-normals.las", false, true),
@@ -47,6 +48,7 @@ const CASES: [Case; 8] = [
     case("coherent.laz", false, false),
     case("coherent-normals.laz", false, true),
     Case { divisor: 4, ..case("coherent-normals.ply", false, true) },
+    Case { divisor: 4, estimate: true, ..case("estimated.las", false, false) },
 ];
 
 fn main() -> Result<(), Error> {
@@ -57,7 +59,7 @@ fn main() -> Result<(), Error> {
     let wanted = arguments.iter().skip(1).find(is_word).map_or("", String::as_str);
     let n_points = asked.unwrap_or(if as_test { 20_000 } else { 20_000_000 });
     let folder = tempfile::tempdir().expect("the temporary folder can be written");
-    println!("{n_points} points ({} for PLY), {} threads", n_points / 4, threads());
+    println!("{n_points} points ({} for the last two), {} threads", n_points / 4, threads());
     println!(
         "{:<22}{:>28}{:>10}{:>12}{:>10}",
         "", "million points a second", "128 MiB", "decoding", "written"
@@ -114,7 +116,11 @@ fn understate_bounds(path: &Path) {
 fn measure(case: &Case, input: &Path, n_points: u64) -> Result<(), Error> {
     let output = input.with_extension("octree");
     let mut request = IngestRequest::new([PathBuf::from(input)], output.clone());
-    request.normals = if case.normals { NormalsFrom::File } else { NormalsFrom::None };
+    request.normals = match (case.normals, case.estimate) {
+        (true, _) => NormalsFrom::File,
+        (_, true) => NormalsFrom::Estimate,
+        _ => NormalsFrom::None,
+    };
     request.overwrite = true;
     let mut written = 0.0f64;
     let mut seconds = [const { Vec::new() }; 3];

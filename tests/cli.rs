@@ -407,7 +407,7 @@ fn f33_an_output_that_is_an_input() {
 }
 
 #[test]
-fn progress_as_json_lines() {
+fn d10_progress_as_json_lines() {
     let bench = Bench::new();
     // A header with wrong bounds makes for a second pass, which must not count points twice.
     write_las(&bench.path("a.las"), 1_200_000, floor(1100));

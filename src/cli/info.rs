@@ -145,7 +145,7 @@ fn version((major, minor): (u16, u16)) -> String {
 fn frame(record: &FrameRecord, (kind, crs): (CrsKind, &[u8])) -> Field {
     let coordinates = match record.frame {
         Frame::Lattice { .. } => "lattice",
-        Frame::World { .. } => "real",
+        Frame::World { .. } => "world",
     };
     let origin = record.frame.world_of_real([0.0; 3]);
     let [x, y, z] = origin;

@@ -532,6 +532,24 @@ mod tests {
     }
 
     #[test]
+    fn d7_no_leaf_pair_is_tested_twice() {
+        for seed in 0..60 {
+            let rng = &mut Rng::with_seed(seed);
+            let n = rng.usize(20..300);
+            let stage = Stage::random(rng, n);
+            for block_pairs in [1, 16, BLOCK_PAIRS] {
+                let mut decider = Decider::with_blocks_of(block_pairs, stage.scene());
+                for (a, b) in sibling_pairs(&stage.grown.tree) {
+                    decider.decide(a, b, &mut Vec::new());
+                }
+                let n = stage.scene().discs.len() as u64;
+                let n_tested = decider.counts.n_segments;
+                assert!(n_tested <= n * (n - 1) / 2, "tree {seed}: {n_tested} of {n} leaves");
+            }
+        }
+    }
+
+    #[test]
     fn d6_tasks_put_together_are_brute_force() {
         let (mut n_above, mut n_tasks) = (0, 0);
         for seed in 0..48 {

@@ -311,25 +311,6 @@ impl<'a> OctreeView<'a> {
         Ok(Points { view: self, first, records, normals })
     }
 
-    /// Finds the first point whose Morton code is ≥ `code`, to within one stride: the point lies
-    /// in `found..found + CODE_STRIDE`.
-    ///
-    /// # Errors
-    /// Where a touched block is damaged.
-    pub fn lower_bound(&self, code: u64) -> Result<u64, FormatError> {
-        let (mut low, mut high) = (0, self.codes.n_records);
-        while low < high {
-            let middle = low + (high - low) / 2;
-            let bytes = self.file.read(&self.codes, middle * 8, 8)?;
-            if FieldReader::new(bytes).u64() < code {
-                low = middle + 1;
-            } else {
-                high = middle;
-            }
-        }
-        Ok(low.saturating_sub(1) * CODE_STRIDE)
-    }
-
     /// Checks every byte and every rule of FORMAT.md, order and digest of the points included.
     ///
     /// # Errors

@@ -52,7 +52,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_order_is_that_of_codes_then_ordinals(
+        fn d3_the_order_is_that_of_codes_then_ordinals(
             codes in prop::collection::vec(
                 prop_oneof![0u64..1 << 63, 0u64..8, Just(1 << 62), (1u64 << 62)..(1 << 62) + 99],
                 0..300,
