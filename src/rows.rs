@@ -35,7 +35,7 @@ impl Rows {
     /// Where it cannot be opened or the header row cannot be read.
     pub fn open(path: &Path) -> Result<Rows, Error> {
         let input: Box<dyn Read> = match path.as_os_str() == "-" {
-            true => Box::new(io::stdin().lock()),
+            true => return Rows::of(Box::new(io::stdin().lock()), Path::new("standard input")),
             false if path.is_dir() => {
                 return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
             }
@@ -69,6 +69,11 @@ impl Rows {
             Rows { reader, header: StringRecord::new(), path: path.to_path_buf(), line: 1 };
         rows.header = rows.read()?.unwrap_or_default();
         Ok(rows)
+    }
+
+    /// Gives what the rows are called in messages.
+    pub fn name(&self) -> &Path {
+        &self.path
     }
 
     /// Gives the header row; it is empty where there is none.

@@ -165,7 +165,8 @@ fn a_row_without_end_is_refused_with_its_line() {
             // Until nobody reads any more.
             while rows.write_all(more.as_bytes()).is_ok() {}
         });
-        let run = Run::watch(child, Instant::now()).fails(65, &["-: line 3: ", "65536 bytes"]);
+        let run = Run::watch(child, Instant::now())
+            .fails(65, &["standard input: line 3: ", "65536 bytes"]);
         writer.join().unwrap();
         assert!(run.anon_bytes < 32 * MIB, "{} MiB", run.anon_bytes / MIB);
         // The row before it was answered.

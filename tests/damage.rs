@@ -218,7 +218,7 @@ fn f46_another_version_or_an_unknown_flag_exits_78() {
         let error = MapView::open(&map).unwrap_err();
         let message = error.to_string();
         assert!(message.contains("1.0") || at == 48, "{message}");
-        assert!(message.contains("use a newer one"), "{message}");
+        assert!(message.contains("use a newer pvmap"), "{message}");
         assert_eq!(exit_code(error), 78, "{message}");
         let error = Error::from(Map::open(&map).unwrap_err());
         assert_eq!(error.exit_code(), 78, "a query: {error}");

@@ -189,7 +189,7 @@ const CHUNK_BYTES: usize = 4 << 20;
 fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
     let mut rows = Rows::open(&args.rows)?;
     let columns = Columns::find(rows.header())
-        .map_err(|what| Error::Data(format!("{}: {what}", args.rows.display())))?;
+        .map_err(|what| Error::Data(format!("{}: {what}", rows.name().display())))?;
     let mut out = BufWriter::with_capacity(1 << 16, io::stdout().lock());
     if !args.json {
         writeln!(out, "visible,surfel1,surfel2,distance1,distance2,error")?;
@@ -312,21 +312,28 @@ impl Columns {
     }
 
     fn places(&self, row: &csv::StringRecord) -> Result<(Place, Place), String> {
-        let number = |i: usize| {
+        let number = |i: usize, name: &str, side: usize| {
             let text = row.get(i).unwrap_or_default();
-            text.parse::<f64>().map_err(|_| format!("{text:?} is not a number"))
+            let refuse = |_| format!("{name}{} is {text:?}, expected a number", side + 1);
+            text.parse::<f64>().map_err(refuse)
         };
-        let three =
-            |at: [usize; 3]| Ok::<_, String>([number(at[0])?, number(at[1])?, number(at[2])?]);
+        let three = |at: [usize; 3], [x, y, z]: [&str; 3], side| {
+            Ok::<_, String>([
+                number(at[0], x, side)?,
+                number(at[1], y, side)?,
+                number(at[2], z, side)?,
+            ])
+        };
         let place = |side: usize| {
             let normal = match self.normals[side] {
                 // Empty cells: this row does not choose a side.
                 Some(at) if at.iter().any(|&i| !row.get(i).unwrap_or_default().is_empty()) => {
-                    Some(three(at)?.map(|v| v as f32))
+                    Some(three(at, ["nx", "ny", "nz"], side)?.map(|v| v as f32))
                 }
                 _ => None,
             };
-            Ok::<_, String>(Place { position: three(self.places[side])?, normal })
+            let position = three(self.places[side], ["x", "y", "z"], side)?;
+            Ok::<_, String>(Place { position, normal })
         };
         Ok((place(0)?, place(1)?))
     }

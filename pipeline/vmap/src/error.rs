@@ -19,7 +19,8 @@ pub enum FormatError {
     },
     /// Made by a version this reader does not know.
     #[error(
-        "made by format version {major}.{minor}, this pvmap reads up to {ours}; use a newer one"
+        "made by format version {major}.{minor}, this pvmap reads up to {ours}; use a newer pvmap, \
+         or make the file again with this one"
     )]
     Version {
         /// Its major version.
@@ -31,14 +32,14 @@ pub enum FormatError {
     },
     /// It needs a feature this reader does not know.
     #[error(
-        "needs a feature this pvmap does not know (required flags {flags:#x}); use a newer one"
+        "needs a feature this pvmap does not know (required flags {flags:#x}); use a newer pvmap"
     )]
     Required {
         /// The flags of the header.
         flags: u64,
     },
     /// The file is shorter or longer than its header says.
-    #[error("{found} bytes long, its header says {expected}: cut short or added to")]
+    #[error("{found} bytes long, its header says {expected}: cut short or added to; make it again")]
     Length {
         /// Length by the header.
         expected: u64,
