@@ -2,11 +2,12 @@
 //!
 //! Generated rooms, without normal estimation but for the last: LAS of point format 7 in coherent
 //! and in random order, plain and with normals as extra bytes, with bounds that lie; LAZ; PLY with
-//! normals; LAS whose normals are estimated. Each is taken in with 1 GiB and with 128 MiB. A row an input, medians of five runs that take turns:
-//! million points a second with either budget and of decoding alone, the time with the small
-//! budget over that with the large one, the share of decoding in the time with the large one, and
-//! the bytes written over the bytes of the octree (the larger of the two budgets). Without
-//! arguments 20 million points (5 million for the last two); run as a test, a small number.
+//! normals; LAS whose normals are estimated. Each is taken in with 1 GiB and with 128 MiB. A row an
+//! input, medians of five runs that take turns: million points a second with either budget and of
+//! decoding alone, the time with the small budget over that with the large one, the share of
+//! decoding in the time with the large one, and the bytes written over the bytes of the octree (the
+//! larger of the two budgets). Without arguments 20 million points (5 million for the last two);
+//! run as a test, a small number.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
