@@ -183,8 +183,8 @@ fn as_json(a: &Located, b: &Located, answer: &PairAnswer) -> Value {
 }
 
 /// Rows answered at once, and their bytes where rows are long.
-const CHUNK_ROWS: usize = 8192;
-const CHUNK_BYTES: usize = 4 << 20;
+const CHUNK_ROWS: usize = 1 << 16;
+const CHUNK_BYTES: usize = 16 << 20;
 
 fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
     let mut rows = Rows::open(&args.rows)?;
@@ -197,15 +197,24 @@ fn answer_pairs(map: &Map<'_>, path: &Path, args: &PairsArgs) -> Outcome {
     let snap = snap_of(args.snap);
     loop {
         let (chunk, ended) = next_chunk(&mut rows);
-        let answer = |row: &csv::StringRecord| {
-            let (a, b) = columns.places(row)?;
-            ask(map, &a, &b, snap).map_err(|e| match e {
-                QueryError::Format(e) => RowError::Map(Error::artifact(path, e)),
-                e => RowError::Row(e.to_string()),
-            })
+        let refuse = |e: QueryError| match e {
+            QueryError::Format(e) => RowError::Map(Error::artifact(path, e)),
+            e => RowError::Row(e.to_string()),
         };
-        let answers: Vec<Result<Answer, RowError>> = chunk.par_iter().map(answer).collect();
-        for answer in answers {
+        let locate = |row: &csv::StringRecord| {
+            let (a, b) = columns.places(row)?;
+            let located = |place| map.locate(place, snap).map_err(refuse);
+            Ok((located(&a)?, located(&b)?))
+        };
+        let located: Vec<Result<_, RowError>> = chunk.par_iter().map(locate).collect();
+        let questions: Vec<(Located, Located)> =
+            located.iter().filter_map(|row| row.as_ref().ok().copied()).collect();
+        let mut answers = map.pairs(&questions).into_iter();
+        for row in located {
+            let answer = row.and_then(|(a, b)| {
+                let answer = answers.next().expect("one for each located row");
+                Ok((a, b, answer.map_err(refuse)?))
+            });
             write_row(&mut out, answer, args.json)?;
         }
         // The rows before one that cannot be read have their answers.

@@ -2,13 +2,15 @@
 //!
 //! [`Map`] wraps the bytes of a whole map file. [`Map::locate`] leads a place in world units to
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
-//! other, and which link settles it ([V-6]). The room opens no file and prints nothing; it reads
+//! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
+//! map. The room opens no file and prints nothing; it reads
 //! only the blocks a question needs, trusts no byte of them, and a [`Map`] may be asked from many
 //! threads at once. Decoded links are kept in a cache of fixed size (`frames`), so a batch of any
 //! length takes bounded memory.
 //!
 //! Start reading at [`Map`], then [`Map::locate`] and [`Map::pair`].
 
+mod batch;
 mod error;
 mod frames;
 mod locate;

@@ -37,44 +37,37 @@ impl Map<'_> {
         if a.node == b.node {
             return Ok(PairAnswer { visible: true, link: None });
         }
-        let (low, high) = (a.node.min(b.node), a.node.max(b.node));
-        let link = match self.link_over(low, high)? {
-            None => None,
-            Some((x, y)) => {
-                let nodes = if a.node == low { (x, y) } else { (y, x) };
-                let n_points = |id| self.view().node(id).map(|node| node.n_points);
-                Some(Link { nodes, n_points: (n_points(nodes.0)?, n_points(nodes.1)?) })
+        let over = self.links_over(a, b)?;
+        let mut lookup = Lookup::new(self.view(), &self.frames);
+        for rank in 0..over.len() {
+            let link = over.nth(rank);
+            if lookup.contains(link)? {
+                return self.seen_by(a, b, link);
             }
-        };
-        Ok(PairAnswer { visible: link.is_some(), link })
+        }
+        Ok(PairAnswer { visible: false, link: None })
     }
 
-    /// Finds the link that covers two leaves, a < b.
-    ///
-    /// All nodes on a's side come before all on b's, so lookups that go down rise.
-    fn link_over(&self, a: u32, b: u32) -> Result<Option<(u32, u32)>, FormatError> {
-        let (side_a, side_b) = (self.side_before(a, b)?, self.side_after(b, a)?);
-        let mut lookup = Lookup::new(self.view(), &self.frames);
-        if self.from_given_pairs() {
-            // Any two nodes may have been given: no telling which above a meets which above b.
-            for x in side_a.down() {
-                for y in side_b.down() {
-                    if lookup.contains((x, y))? {
-                        return Ok(Some((x, y)));
-                    }
-                }
-            }
-            return Ok(None);
-        }
-        // From two siblings down, both sides at once; a leaf waits for the other: kids(A)×kids(B).
-        let (leaf_a, leaf_b) = (side_a.down().chain(std::iter::repeat(a)), side_b.down());
-        let leaf_b = leaf_b.chain(std::iter::repeat(b));
-        for pair in leaf_a.zip(leaf_b).take(side_a.len.max(side_b.len)) {
-            if lookup.contains(pair)? {
-                return Ok(Some(pair));
-            }
-        }
-        Ok(None)
+    /// Makes the answer of a pair that a link covers.
+    pub(crate) fn seen_by(
+        &self,
+        a: &Located,
+        b: &Located,
+        (x, y): (u32, u32),
+    ) -> Result<PairAnswer, QueryError> {
+        let nodes = if a.node < b.node { (x, y) } else { (y, x) };
+        let n_points = |id| self.view().node(id).map(|node| node.n_points);
+        let link = Link { nodes, n_points: (n_points(nodes.0)?, n_points(nodes.1)?) };
+        Ok(PairAnswer { visible: true, link: Some(link) })
+    }
+
+    /// Lists the links that can cover two leaves, in either order.
+    pub(crate) fn links_over(&self, a: &Located, b: &Located) -> Result<LinksOver, FormatError> {
+        let (low, high) = (a.node.min(b.node), a.node.max(b.node));
+        Ok(LinksOver {
+            sides: [self.side_before(low, high)?, self.side_after(high, low)?],
+            is_given: self.from_given_pairs(),
+        })
     }
 
     /// Lists the nodes over leaf a that end before b.
@@ -125,8 +118,37 @@ impl Side {
         room
     }
 
-    /// Walks down to the leaf.
-    fn down(&self) -> impl Iterator<Item = u32> + '_ {
-        self.up[..self.len].iter().rev().copied()
+    /// Gives the node so many steps below the topmost; from the leaf on the leaf.
+    fn nth_down(&self, steps: usize) -> u32 {
+        self.up[self.len - 1 - steps.min(self.len - 1)]
+    }
+}
+
+/// The links that can cover two different leaves, the highest first.
+///
+/// All nodes on the one side come before all on the other, so links that go down rise.
+#[derive(Debug)]
+pub(crate) struct LinksOver {
+    sides: [Side; 2],
+    is_given: bool,
+}
+
+impl LinksOver {
+    /// Counts them.
+    pub(crate) fn len(&self) -> usize {
+        let [a, b] = &self.sides;
+        if self.is_given { a.len * b.len } else { a.len.max(b.len) }
+    }
+
+    /// Gives the link of a rank below [`LinksOver::len`].
+    pub(crate) fn nth(&self, rank: usize) -> (u32, u32) {
+        let [a, b] = &self.sides;
+        if self.is_given {
+            // Any two nodes may have been given: no telling which on one side meets which.
+            (a.nth_down(rank / b.len), b.nth_down(rank % b.len))
+        } else {
+            // From two siblings down, both sides at once; a leaf waits for the other.
+            (a.nth_down(rank), b.nth_down(rank))
+        }
     }
 }

@@ -68,8 +68,12 @@ fn v6_every_leaf_pair_has_the_answer_of_its_link() {
         assert_eq!(map.view().verify(), Ok(()));
         assert_eq!(map.from_given_pairs(), given);
         let n = tree.surfels.len() as u32;
-        for (i, answer) in answers(&tree, &links).into_iter().enumerate() {
-            let (a, b) = (at(&tree, i as u32 / n), at(&tree, i as u32 % n));
+        let table = answers(&tree, &links);
+        let questions: Vec<(Located, Located)> =
+            (0..n * n).map(|i| (at(&tree, i / n), at(&tree, i % n))).collect();
+        let expected: Vec<_> = table.iter().map(|&answer| Ok(answer)).collect();
+        assert_eq!(map.pairs(&questions), expected, "round {round}, all at once");
+        for (answer, (a, b)) in table.into_iter().zip(questions) {
             assert_eq!(map.pair(&a, &b), Ok(answer), "round {round}, surfels {a:?} {b:?}");
             n_visible += u32::from(answer.visible);
         }
