@@ -115,9 +115,9 @@ fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result
     let points = scene.points(args.points);
     let mut found = Agreement { n_pairs: args.pairs, ..Agreement::default() };
     let mut seconds = 0.0;
-    let mut draw = Draw(args.seed);
+    let mut rng = fastrand::Rng::with_seed(args.seed);
     for _ in 0..args.pairs {
-        let (a, b) = (points.at(draw.below(args.points)), points.at(draw.below(args.points)));
+        let [a, b] = [0; 2].map(|_| points.at(rng.u64(..args.points)));
         let started = std::time::Instant::now();
         // The file holds f32: what it rounded away must not put a place outside the cube.
         let stored = |s: &Sample| s.position.map(|v| f64::from(v as f32));
@@ -136,19 +136,6 @@ fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result
     }
     found.rate = args.pairs as f64 / seconds.max(1e-9);
     Ok(found)
-}
-
-/// SplitMix64: which points are asked about.
-struct Draw(u64);
-
-impl Draw {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((u128::from(z ^ (z >> 31)) * u128::from(n)) >> 64) as u64
-    }
 }
 
 fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::Result<()> {
@@ -188,5 +175,5 @@ fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::
 }
 
 fn share(n: u64, of: u64) -> String {
-    format!("{:.2} %", 100.0 * n as f64 / (of as f64).max(1.0))
+    if of == 0 { "–".to_owned() } else { format!("{:.2} %", 100.0 * n as f64 / of as f64) }
 }
