@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
-use pvmap_store::StoreError;
+use pvmap_store::{InputFile, StoreError};
 
 use crate::Error;
 
@@ -49,12 +49,7 @@ impl Rows {
     /// # Errors
     /// Where it is no file or cannot be opened, or the header row cannot be read.
     pub fn of_file(path: &Path) -> Result<Rows, Error> {
-        let metadata = std::fs::metadata(path).map_err(|e| StoreError::io(path, "open", e))?;
-        if !metadata.is_file() {
-            return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
-        }
-        let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
-        Rows::of(Box::new(file), path)
+        Rows::of(Box::new(InputFile::open(path)?), path)
     }
 
     fn of(input: Box<dyn Read>, path: &Path) -> Result<Rows, Error> {
