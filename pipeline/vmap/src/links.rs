@@ -267,7 +267,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn f17_links_come_back(
+        fn format17_links_come_back(
             set in prop::collection::btree_set((0u32..50, 51u32..1_000_000), 0..500),
         ) {
             let links: Vec<_> = set.into_iter().collect();
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn f18_a_long_list_goes_on_in_the_next_frame() {
+    fn format18_a_long_list_goes_on_in_the_next_frame() {
         let links: Vec<_> = (0..200_000u32).map(|i| (7, 8 + 1000 * i)).collect();
         let frames = encode(&links);
         assert!(frames.len() > 1);
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn f18_a_varint_longer_than_needed_is_refused() {
+    fn format18_a_varint_longer_than_needed_is_refused() {
         assert_eq!(take_varint(&mut [0x81, 0x00].as_slice()), None);
         assert_eq!(take_varint(&mut [0xff, 0xff, 0xff, 0xff, 0x7f].as_slice()), None);
         assert_eq!(take_varint(&mut [0x80].as_slice()), None);

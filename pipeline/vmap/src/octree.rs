@@ -414,7 +414,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn f11_the_digest_is_xxh3_of_20_bytes(
+        fn format11_the_digest_is_xxh3_of_20_bytes(
             g in prop::array::uniform3(any::<u32>()),
             normal in prop::array::uniform3(any::<i16>()),
             oriented in any::<bool>(),

@@ -136,7 +136,7 @@ fn a_map_without_a_profile_is_refused() {
 }
 
 #[test]
-fn f14_verify_refuses_a_configuration_that_is_not_canonical() {
+fn format14_verify_refuses_a_configuration_that_is_not_canonical() {
     let mut rng = Rng::with_seed(11);
     let tree = grow(&random_points(&mut rng, 40), BINNED);
     for given in [false, true] {
