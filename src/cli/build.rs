@@ -168,6 +168,13 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     )?;
     writeln!(
         out,
+        "            {} sheets asked, {} blocked by them, {} left undecided,",
+        si(c.n_sheets as f64),
+        si(c.n_guessed as f64),
+        si(c.n_unsure as f64)
+    )?;
+    writeln!(
+        out,
         "            {} discs loaded, {} tests of 16 segments, {} settled exactly",
         si(c.n_loaded as f64),
         si(c.n_tests as f64),

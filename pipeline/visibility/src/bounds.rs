@@ -188,7 +188,8 @@ pub(crate) fn of_group(discs: &[Disc], profile: Profile) -> Bounds {
     discs.iter().map(|d| of_leaf(d, profile)).fold(Bounds::NOTHING, |a, b| a.join(&b))
 }
 
-fn of_leaf(disc: &Disc, profile: Profile) -> Bounds {
+/// Bounds a leaf.
+pub(crate) fn of_leaf(disc: &Disc, profile: Profile) -> Bounds {
     let bounds = Bounds::of_disc(disc);
     match profile {
         Profile::Paper => bounds,

@@ -23,6 +23,7 @@ use crate::error::VisibilityError;
 use crate::interaction::{self, checked_pairs, sibling_pairs};
 use crate::kernel::Counts;
 use crate::pairs::{Decider, Scene, Status};
+use crate::sheets::Sheets;
 use crate::tasks::{Plan, PlanLimits, n_leaf_pairs};
 
 /// What decides the content of a map, and what does not.
@@ -100,8 +101,10 @@ pub fn build(
     let discs: Vec<Disc> =
         (0..tree.surfels.len() as u32).into_par_iter().map(|s| tree.disc(s, profile)).collect();
     let bounds = bounds::of_tree(tree, &discs, profile);
-    let families = candidates::families(tree, &bounds);
-    let scene = Scene { tree, discs: &discs, bounds: &bounds, families: &families, profile };
+    let sheets = Sheets::new(tree, &discs, &bounds);
+    let families = candidates::families(tree, &bounds, &sheets);
+    let (discs, bounds, families, sheets) = (&discs, &bounds, &families, &sheets);
+    let scene = Scene { tree, discs, bounds, families, sheets, profile };
     let shares = Shares::of(options.memory_bytes - fixed);
     let plan = Plan::new(&scene, &starts, &shares.plan)?;
     let links = LinkSink::new(options, &shares);
@@ -148,7 +151,7 @@ fn decide(
         .collect::<Result<_, StoreError>>()?;
     let mut counts = Counts::default();
     for (decider, mut found) in deciders.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        counts.add(&decider.counts);
+        counts.add(&decider.counts());
         links.put(&mut found)?;
     }
     let mut above = Vec::new();

@@ -12,6 +12,7 @@ use pvmap_vmap::Tree;
 
 use crate::bounds::Bounds;
 use crate::lanes::{all_bits, bits, greater, less, mask_of};
+use crate::sheets::Sheets;
 
 /// Children of a node at most.
 const MAX_CHILDREN: usize = 8;
@@ -34,6 +35,8 @@ pub struct Family {
     /// Children that are leaves, and children under which some surfel can block, a bit each.
     leaves: u8,
     blockers: u8,
+    /// Children that are sheets.
+    sheets: u8,
 }
 
 impl Family {
@@ -47,6 +50,7 @@ impl Family {
         level: 0,
         leaves: 0,
         blockers: 0,
+        sheets: 0,
     };
 
     fn set(&mut self, k: usize, below: u32, bounds: &Bounds) {
@@ -84,7 +88,7 @@ pub struct Kept {
 }
 
 /// Makes the families of all inner nodes, the root's first, in node order.
-pub fn families(tree: &Tree, bounds: &[Bounds]) -> Vec<Family> {
+pub fn families(tree: &Tree, bounds: &[Bounds], sheets: &Sheets) -> Vec<Family> {
     let mut of_node = Vec::with_capacity(tree.nodes.len());
     let mut n_families = 0;
     for node in &tree.nodes {
@@ -99,7 +103,9 @@ pub fn families(tree: &Tree, bounds: &[Bounds]) -> Vec<Family> {
             let below = if node.is_leaf() { node.first_surfel } else { of_node[child as usize] };
             family.set(k, below, &bounds[child as usize]);
             family.level = node.level;
+            let is_sheet = !node.is_leaf() && sheets.of_family(below).is_some();
             family.leaves |= u8::from(node.is_leaf()) << k;
+            family.sheets |= u8::from(is_sheet) << k;
         }
         family
     };
@@ -112,14 +118,28 @@ pub fn everything(families: &[Family], list: &mut Vec<Kept>) {
     list.extend(families.first().map(|_| Kept { family: 0, children: u8::MAX }));
 }
 
-/// Walks the surfels of a list of leaves, each with the box of all places at which it can block.
+/// Gives the list of everything under a family.
+pub fn all_of(family: u32) -> Kept {
+    Kept { family, children: u8::MAX }
+}
+
+/// Walks the families of the sheets of a list.
+pub fn sheets_of<'a>(families: &'a [Family], list: &'a [Kept]) -> impl Iterator<Item = u32> + 'a {
+    list.iter().flat_map(|kept| {
+        let family = &families[kept.family as usize];
+        bits((kept.children & family.sheets).into()).map(|k| family.below[k])
+    })
+}
+
+/// Walks the surfels of the leaves of a list, each with the box of all places at which it can
+/// block.
 pub fn blockers_of<'a>(
     families: &'a [Family],
     list: &'a [Kept],
 ) -> impl Iterator<Item = (u32, Box3)> {
     list.iter().flat_map(|kept| {
         let family = &families[kept.family as usize];
-        bits(kept.children.into()).map(|k| (family.below[k], family.box_of(k)))
+        bits((kept.children & family.leaves).into()).map(|k| (family.below[k], family.box_of(k)))
     })
 }
 
@@ -221,6 +241,8 @@ impl Doubled {
 pub enum Depth {
     /// To the cells of this level: about the size of the pair at hand.
     Level(u8),
+    /// To leaves and sheets.
+    Sheets,
     /// To leaves.
     Leaves,
 }
@@ -245,11 +267,12 @@ pub fn refine(
             let family = &families[id as usize];
             n_tested += u64::from(asked.count_ones());
             let admitted = corridor.admits(family) & asked;
-            let small = match depth {
-                Depth::Level(level) => family.level > level,
-                Depth::Leaves => false,
+            let ends = match depth {
+                Depth::Level(level) if family.level > level => u8::MAX,
+                Depth::Level(_) | Depth::Sheets => family.leaves | family.sheets,
+                Depth::Leaves => family.leaves,
             };
-            let kept = if small { admitted } else { admitted & family.leaves };
+            let kept = admitted & ends;
             if kept != 0 {
                 list.push(Kept { family: id, children: kept });
             }

@@ -64,6 +64,12 @@ pub struct Counts {
     pub n_segments: u64,
     /// Of these, pairs that a disc of late memory blocks.
     pub n_remembered: u64,
+    /// Sheets asked about a block.
+    pub n_sheets: u64,
+    /// Segments blocked by the disc that a sheet named.
+    pub n_guessed: u64,
+    /// Segments that a sheet left undecided.
+    pub n_unsure: u64,
     /// Discs loaded to test segments against.
     pub n_loaded: u64,
     /// Discs tested against a packet of segments.
@@ -79,6 +85,9 @@ impl Counts {
         self.n_candidates += other.n_candidates;
         self.n_segments += other.n_segments;
         self.n_remembered += other.n_remembered;
+        self.n_sheets += other.n_sheets;
+        self.n_guessed += other.n_guessed;
+        self.n_unsure += other.n_unsure;
         self.n_loaded += other.n_loaded;
         self.n_tests += other.n_tests;
         self.n_exact += other.n_exact;

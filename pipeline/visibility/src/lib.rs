@@ -4,11 +4,13 @@
 //! recursion over node pairs ([`pairs`]: the paper's Algorithms 1 and 2 as corrected in [V-4] and
 //! [V-5]), spills the links as sorted runs and writes the map. What makes it fast are proofs about
 //! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders
-//! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`kernel`], [`packets`]),
+//! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`block`]): first by sheets
+//! of surfels as wholes ([`sheets`], [`screen`]), then disc by disc ([`kernel`], [`packets`]),
 //! exactly. The room never asks how the tree came about and never approximates.
 //!
 //! Start reading at [`build::build`], then [`pairs`].
 
+pub mod block;
 pub mod bounds;
 pub mod build;
 pub mod candidates;
@@ -20,6 +22,9 @@ mod lanes;
 pub mod packets;
 pub mod pairs;
 mod pierce;
+pub mod screen;
+pub mod sheets;
+mod surface;
 pub mod tasks;
 
 pub use build::{BuildOptions, BuildReport, MapInput, build};

@@ -7,16 +7,16 @@
 
 use std::ops::Range;
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
+use crate::block::BlockDecider;
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
-use crate::ends::{Ends, MAX_ENDS};
-use crate::kernel::{Blockers, Counts, Recent};
-use crate::packets::{Packet, Shot, WIDTH, pack};
+use crate::ends::MAX_ENDS;
+use crate::kernel::Counts;
+use crate::sheets::Sheets;
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,6 +40,8 @@ pub struct Scene<'a> {
     pub bounds: &'a [Bounds],
     /// All nodes as the culling sees them.
     pub families: &'a [Family],
+    /// The subtrees that lie along planes.
+    pub sheets: &'a Sheets,
     /// How discs block.
     pub profile: Profile,
 }
@@ -86,8 +88,8 @@ impl Gathered {
 
 /// Leaf pairs that are decided together, at most.
 const BLOCK_PAIRS: u32 = 1024;
-/// Entries of a list of candidates that are opened to leaves before it is seen what is still open.
-const PIECE: usize = 16;
+/// The same where most surfels belong to sheets.
+const SHEET_BLOCK_PAIRS: u32 = 4096;
 
 /// How many node pairs were settled in which way; together all the recursion looked at.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -108,17 +110,9 @@ pub struct Decider<'a> {
     scene: Scene<'a>,
     /// Candidate lists of the open pairs, one behind the other.
     candidates: Vec<Kept>,
-    blockers: Blockers,
-    recent: Recent,
-    /// The rows and the columns of the block at hand.
-    sides: [Box<Ends>; 2],
-    /// For each row of the block, a bit a column that nothing has blocked yet.
-    open: Vec<u64>,
-    /// The open segments of the block.
-    packets: Vec<Packet>,
+    block: BlockDecider<'a>,
     block_pairs: u32,
-    /// What it took so far.
-    pub counts: Counts,
+    counts: Counts,
     /// How pairs were settled so far.
     pub settled: Settled,
 }
@@ -126,7 +120,9 @@ pub struct Decider<'a> {
 impl<'a> Decider<'a> {
     /// Makes a decider that decides up to 1024 leaf pairs at once.
     pub fn new(scene: Scene<'a>) -> Decider<'a> {
-        Decider::with_blocks_of(BLOCK_PAIRS, scene)
+        let n_in_sheets = 4 * scene.sheets.n_surfels() as usize;
+        let are_sheets = n_in_sheets >= 3 * scene.discs.len();
+        Decider::with_blocks_of(if are_sheets { SHEET_BLOCK_PAIRS } else { BLOCK_PAIRS }, scene)
     }
 
     /// Makes a decider that decides up to so many leaf pairs at once, at least 1. What it finds is
@@ -135,15 +131,18 @@ impl<'a> Decider<'a> {
         Decider {
             scene,
             candidates: Vec::new(),
-            blockers: Blockers::default(),
-            recent: Recent::default(),
-            sides: [Box::new(Ends::NONE), Box::new(Ends::NONE)],
-            open: Vec::new(),
-            packets: Vec::new(),
+            block: BlockDecider::new(scene),
             block_pairs: block_pairs.max(1),
             counts: Counts::default(),
             settled: Settled::default(),
         }
+    }
+
+    /// Gives what it took so far.
+    pub fn counts(&self) -> Counts {
+        let mut counts = self.counts;
+        counts.add(&self.block.counts);
+        counts
     }
 
     /// Decides a pair of disjoint subtrees from scratch; links go to `links` in no order.
@@ -164,11 +163,15 @@ impl<'a> Decider<'a> {
         let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
         if n_a.max(n_b) <= MAX_ENDS as u32 && n_a * n_b <= self.block_pairs {
             self.settled.n_blocks += 1;
-            return self.block(a, b, list, links);
+            return self.block.decide((a, b), &mut self.candidates, list, links);
         }
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
         let ends = [a, b].map(|id| bounds[id as usize].centroids);
-        let refined = self.refined(&ends, Depth::Level(level), list);
+        let start = self.candidates.len();
+        let corridor = Corridor::new(&ends[0], &ends[1]);
+        let (families, depth) = (self.scene.families, Depth::Level(level));
+        self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
+        let refined = start..self.candidates.len();
         let status = if refined.is_empty() && facing == Facing::All {
             self.settled.n_clear += 1;
             Status::Visible
@@ -185,15 +188,6 @@ impl<'a> Decider<'a> {
         node.end_surfel - node.first_surfel
     }
 
-    /// Refines a list for the segments between two boxes; the caller gives the room back.
-    fn refined(&mut self, ends: &[Box3; 2], depth: Depth, list: Range<usize>) -> Range<usize> {
-        let families = self.scene.families;
-        let start = self.candidates.len();
-        let corridor = Corridor::new(&ends[0], &ends[1]);
-        self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
-        start..self.candidates.len()
-    }
-
     fn child_pairs(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         let tree = self.scene.tree;
         let mut gathered = Gathered::new(links);
@@ -205,121 +199,6 @@ impl<'a> Decider<'a> {
         }
         gathered.settle(links)
     }
-
-    /// Decides all leaf pairs under a pair at once: rows are the leaves under `a`, columns those
-    /// under `b`. What discs of late memory block is settled first; only if something is left are
-    /// candidates looked for.
-    fn block(&mut self, a: u32, b: u32, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
-        self.load_block(a, b);
-        let mut is_open = self.try_recent();
-        let mut rest = list;
-        while is_open && !rest.is_empty() {
-            let piece = rest.start..rest.end.min(rest.start + PIECE);
-            rest.start = piece.end;
-            let refined = self.refined(&self.open_ends(), Depth::Leaves, piece);
-            is_open = self.try_candidates(refined.clone());
-            self.candidates.truncate(refined.start);
-        }
-        let first = [a, b].map(|id| self.scene.tree.nodes[id as usize].first_surfel);
-        Block { tree: self.scene.tree, first, open: &self.open }.fold(a, b, links)
-    }
-
-    /// Loads the leaves of a block and opens the pairs that face each other.
-    fn load_block(&mut self, a: u32, b: u32) {
-        let Scene { tree, discs, profile, .. } = self.scene;
-        for (side, id) in self.sides.iter_mut().zip([a, b]) {
-            let node = &tree.nodes[id as usize];
-            side.load(discs, node.first_surfel..node.end_surfel, profile);
-        }
-        let [rows, columns] = &self.sides;
-        rows.faces(columns, &mut self.open);
-    }
-
-    /// Closes what a remembered disc blocks; says whether something is still open.
-    fn try_recent(&mut self) -> bool {
-        let Scene { discs, profile, .. } = self.scene;
-        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
-        pack(shot.block, &self.open, &mut self.packets);
-        self.open.fill(0);
-        let (mut n_open, mut n_left) = (0, 0);
-        for packet in &mut self.packets {
-            n_open += packet.n_open();
-            self.recent.blockers().shoot(&shot, packet, &mut self.counts);
-            n_left += packet.n_open();
-            packet.note(&mut self.open);
-        }
-        self.counts.n_segments += n_open;
-        self.counts.n_remembered += n_open - n_left;
-        // With a quarter of the lanes idle it pays to pack anew.
-        if n_left * 4 <= (self.packets.len() * WIDTH * 3) as u64 {
-            pack(shot.block, &self.open, &mut self.packets);
-        }
-        n_left > 0
-    }
-
-    /// Gives the boxes of the near and the far ends of the open segments, of which there are some.
-    fn open_ends(&self) -> [Box3; 2] {
-        let (mut rows, mut columns) = (0, 0);
-        for (row, &open) in self.open.iter().enumerate() {
-            rows |= u64::from(open != 0) << row;
-            columns |= open;
-        }
-        [self.sides[0].box_of(rows), self.sides[1].box_of(columns)]
-    }
-
-    /// Closes what a list of leaves blocks; says whether something is still open.
-    fn try_candidates(&mut self, list: Range<usize>) -> bool {
-        let Scene { discs, families, profile, .. } = self.scene;
-        self.blockers.load(discs, candidates::blockers_of(families, &self.candidates[list]));
-        self.counts.n_loaded += self.blockers.len() as u64;
-        if self.blockers.is_empty() {
-            return true;
-        }
-        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
-        self.open.fill(0);
-        for packet in &mut self.packets {
-            if let Some(best) = self.blockers.shoot(&shot, packet, &mut self.counts) {
-                self.recent.remember(&self.blockers, best);
-            }
-            packet.note(&mut self.open);
-        }
-        self.open.iter().any(|&open| open != 0)
-    }
-}
-
-/// The decided leaf pairs of a block.
-struct Block<'a> {
-    tree: &'a Tree,
-    /// The first surfel of the rows and of the columns.
-    first: [u32; 2],
-    /// The visible columns of each row, a bit each.
-    open: &'a [u64],
-}
-
-impl Block<'_> {
-    /// Makes statuses and links of the leaf pairs under a pair of nodes of the block.
-    fn fold(&self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
-        let [rows, columns] = [(a, self.first[0]), (b, self.first[1])].map(|(id, first)| {
-            let node = &self.tree.nodes[id as usize];
-            (node.first_surfel - first) as usize..(node.end_surfel - first) as usize
-        });
-        let mask = (u64::MAX >> (u64::BITS as usize - columns.len())) << columns.start;
-        let rows = &self.open[rows];
-        if rows.iter().all(|open| open & mask == 0) {
-            return Status::Invisible;
-        }
-        if rows.iter().all(|open| open & mask == mask) {
-            return Status::Visible;
-        }
-        for x in self.tree.kids(a) {
-            for y in self.tree.kids(b) {
-                if self.fold(x, y, links) == Status::Visible {
-                    links.push((x.min(y), x.max(y)));
-                }
-            }
-        }
-        Status::Partial
-    }
 }
 
 #[cfg(test)]
@@ -329,7 +208,7 @@ mod tests {
     use crate::interaction::sibling_pairs;
     use crate::tasks::{Plan, PlanLimits};
     use fastrand::Rng;
-    use pvmap_geometry::{disc, morton, normal};
+    use pvmap_geometry::{Box3, disc, morton, normal};
     use pvmap_vmap::records::NO_PARENT;
     use pvmap_vmap::{Node, Split};
 
@@ -435,6 +314,7 @@ mod tests {
         grown: Grown,
         profile: Profile,
         bounds: Vec<Bounds>,
+        sheets: Sheets,
         families: Vec<Family>,
     }
 
@@ -444,14 +324,15 @@ mod tests {
             let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
             let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
             let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile);
-            let families = families(&grown.tree, &bounds);
-            Stage { grown, profile, bounds, families }
+            let sheets = Sheets::new(&grown.tree, &grown.discs, &bounds);
+            let families = families(&grown.tree, &bounds, &sheets);
+            Stage { grown, profile, bounds, sheets, families }
         }
 
         fn scene(&self) -> Scene<'_> {
-            let Stage { grown, profile, bounds, families } = self;
+            let Stage { grown, profile, bounds, sheets, families } = self;
             let Grown { tree, discs, .. } = grown;
-            Scene { tree, discs, bounds, families, profile: *profile }
+            Scene { tree, discs, bounds, families, sheets, profile: *profile }
         }
     }
 
@@ -499,7 +380,7 @@ mod tests {
         let n_trees = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 2000 } else { 120 };
         for block_pairs in [1, 4, 16, BLOCK_PAIRS] {
             let mut settled = Settled::default();
-            let mut n_statuses = [0; 3];
+            let (mut n_statuses, mut counts) = ([0; 3], Counts::default());
             for seed in 0..n_trees {
                 let rng = &mut Rng::with_seed(seed);
                 let n = rng.usize(20..200);
@@ -521,7 +402,9 @@ mod tests {
                 settled.n_clear += decider.settled.n_clear;
                 settled.n_blocks += decider.settled.n_blocks;
                 settled.n_opened += decider.settled.n_opened;
+                counts.add(&decider.counts());
             }
+            assert!(counts.n_guessed > 100 && counts.n_unsure > 100, "{counts:?}");
             eprintln!("blocks of {block_pairs}: {settled:?}, {n_statuses:?} pairs of each status");
             let Settled { n_never_facing, n_clear, n_blocks, n_opened } = settled;
             let ways = [n_never_facing, n_clear, n_blocks, n_opened];
@@ -543,7 +426,7 @@ mod tests {
                     decider.decide(a, b, &mut Vec::new());
                 }
                 let n = stage.scene().discs.len() as u64;
-                let n_tested = decider.counts.n_segments;
+                let n_tested = decider.counts().n_segments;
                 assert!(n_tested <= n * (n - 1) / 2, "tree {seed}: {n_tested} of {n} leaves");
             }
         }

@@ -1,0 +1,303 @@
+//! The leaf pairs of a small node pair, decided together: rows are the leaves under one node,
+//! columns those under the other. Sheets are asked first ([`crate::sheets`]); what they leave
+//! undecided, and what single leaves may block, goes through the leaf kernel.
+
+use std::ops::Range;
+
+use pvmap_geometry::Box3;
+use pvmap_store::runs::Pair;
+use pvmap_vmap::Tree;
+
+use crate::candidates::{self, Corridor, Depth, Kept, refine};
+use crate::ends::Ends;
+use crate::kernel::{Blockers, Counts, Recent};
+use crate::packets::{Packet, Shot, WIDTH, pack};
+use crate::pairs::{Scene, Status};
+use crate::screen::Screen;
+
+/// Entries of a list of candidates that are opened to leaves before it is seen what is still open.
+const PIECE: usize = 16;
+/// Discs of late memory pay where they block at least one in so many segments.
+const LEAST_SHARE: u64 = 4;
+
+/// Decides blocks on one thread; its buffers serve one block after another.
+#[derive(Debug)]
+pub struct BlockDecider<'a> {
+    scene: Scene<'a>,
+    blockers: Blockers,
+    recent: Recent,
+    /// Whether discs of late memory are tried first: they blocked enough the last time, or some
+    /// were remembered since.
+    recent_pays: bool,
+    /// The rows and the columns of the block at hand.
+    sides: [Box<Ends>; 2],
+    /// For each row of the block, a bit a column that nothing has blocked yet.
+    open: Vec<u64>,
+    /// Of these, those that some sheet may block and did not decide.
+    unsure: Vec<u64>,
+    /// The segments that the kernel is asked about; `is_packed` if these are the open ones.
+    packets: Vec<Packet>,
+    is_packed: bool,
+    screen: Screen,
+    /// The families of the sheets that may block, and of those that left something undecided.
+    sheets: Vec<u32>,
+    undecided: Vec<Kept>,
+    /// The sheet that blocked the most lately.
+    last_sheet: u32,
+    /// What it took so far.
+    pub counts: Counts,
+}
+
+impl<'a> BlockDecider<'a> {
+    /// Makes a decider of blocks.
+    pub fn new(scene: Scene<'a>) -> BlockDecider<'a> {
+        BlockDecider {
+            scene,
+            blockers: Blockers::default(),
+            recent: Recent::default(),
+            recent_pays: false,
+            sides: [Box::new(Ends::NONE), Box::new(Ends::NONE)],
+            open: Vec::new(),
+            unsure: Vec::new(),
+            packets: Vec::new(),
+            is_packed: false,
+            screen: Screen::default(),
+            sheets: Vec::new(),
+            undecided: Vec::new(),
+            last_sheet: u32::MAX,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Decides all leaf pairs under a pair at once, given a list that holds all its blockers.
+    pub fn decide(
+        &mut self,
+        (a, b): Pair,
+        candidates: &mut Vec<Kept>,
+        list: Range<usize>,
+        links: &mut Vec<Pair>,
+    ) -> Status {
+        self.load(a, b);
+        let mut is_open = self.is_open();
+        if is_open && self.recent_pays {
+            self.try_recent();
+            is_open = self.is_open();
+        }
+        let mut rest = list;
+        while is_open && !rest.is_empty() {
+            let piece = rest.start..rest.end.min(rest.start + PIECE);
+            rest.start = piece.end;
+            let start = candidates.len();
+            self.refine(Depth::Sheets, candidates, piece);
+            let end = candidates.len();
+            self.try_sheets(&candidates[start..]);
+            self.try_undecided(candidates);
+            self.try_leaves(&candidates[start..end]);
+            candidates.truncate(start);
+            is_open = self.is_open();
+        }
+        let first = [a, b].map(|id| self.scene.tree.nodes[id as usize].first_surfel);
+        Block { tree: self.scene.tree, first, open: &self.open }.fold(a, b, links)
+    }
+
+    fn is_open(&self) -> bool {
+        self.open.iter().any(|&open| open != 0)
+    }
+
+    /// Loads the leaves of a block and opens the pairs that face each other.
+    fn load(&mut self, a: u32, b: u32) {
+        let Scene { tree, discs, profile, .. } = self.scene;
+        for (side, id) in self.sides.iter_mut().zip([a, b]) {
+            let node = &tree.nodes[id as usize];
+            side.load(discs, node.first_surfel..node.end_surfel, profile);
+        }
+        let [rows, columns] = &self.sides;
+        rows.faces(columns, &mut self.open);
+        self.is_packed = false;
+        self.counts.n_segments +=
+            self.open.iter().map(|open| u64::from(open.count_ones())).sum::<u64>();
+    }
+
+    /// Appends to a list what of a part of it may block an open segment.
+    fn refine(&mut self, depth: Depth, candidates: &mut Vec<Kept>, list: Range<usize>) {
+        let ends = self.ends_of(&self.open);
+        let corridor = Corridor::new(&ends[0], &ends[1]);
+        self.counts.n_candidates += refine(self.scene.families, &corridor, depth, candidates, list);
+    }
+
+    /// Gives the boxes of the near and the far ends of some segments, of which there are some.
+    fn ends_of(&self, open: &[u64]) -> [Box3; 2] {
+        let (mut rows, mut columns) = (0, 0);
+        for (row, &open) in open.iter().enumerate() {
+            rows |= u64::from(open != 0) << row;
+            columns |= open;
+        }
+        [self.sides[0].box_of(rows), self.sides[1].box_of(columns)]
+    }
+
+    /// Asks the sheets of a list; closes what the surfels block that they name.
+    fn try_sheets(&mut self, list: &[Kept]) {
+        let Scene { discs, families, profile, sheets, .. } = self.scene;
+        self.unsure.clear();
+        self.unsure.resize(self.open.len(), 0);
+        self.undecided.clear();
+        self.sheets.clear();
+        self.sheets.extend(candidates::sheets_of(families, list));
+        if let Some(at) = self.sheets.iter().position(|&family| family == self.last_sheet) {
+            self.sheets.swap(0, at);
+        }
+        let block = [&*self.sides[0], &*self.sides[1]];
+        let (at_first, mut most) = (n_bits(&self.open), 0);
+        let mut before = at_first;
+        for &family in &self.sheets {
+            let Some(sheet) = sheets.of_family(family) else { continue };
+            self.counts.n_sheets += 1;
+            self.screen.ask(sheet, discs, profile, block, &mut self.open);
+            let left = n_bits(&self.open);
+            let closed = before - left;
+            self.counts.n_guessed += closed;
+            if closed > most {
+                (most, self.last_sheet) = (closed, family);
+            }
+            if left == 0 {
+                break;
+            }
+            before = left;
+            let mut any = 0;
+            for (unsure, of_sheet) in self.unsure.iter_mut().zip(&self.screen.unsure) {
+                *unsure |= of_sheet;
+                any |= of_sheet;
+            }
+            if any != 0 {
+                self.undecided.push(candidates::all_of(family));
+            }
+        }
+        for (unsure, open) in self.unsure.iter_mut().zip(&self.open) {
+            *unsure &= open;
+        }
+        self.is_packed &= n_bits(&self.open) == at_first;
+        self.counts.n_unsure += n_bits(&self.unsure);
+    }
+
+    /// Settles what sheets left undecided by their surfels.
+    fn try_undecided(&mut self, candidates: &mut Vec<Kept>) {
+        if self.unsure.iter().all(|&unsure| unsure == 0) {
+            return;
+        }
+        let start = candidates.len();
+        candidates.extend_from_slice(&self.undecided);
+        let ends = self.ends_of(&self.unsure);
+        let corridor = Corridor::new(&ends[0], &ends[1]);
+        let families = self.scene.families;
+        let given = start..candidates.len();
+        let from = candidates.len();
+        self.counts.n_candidates += refine(families, &corridor, Depth::Leaves, candidates, given);
+        let block = [&*self.sides[0], &*self.sides[1]];
+        pack(block, &self.unsure, &mut self.packets);
+        for (open, unsure) in self.open.iter_mut().zip(&self.unsure) {
+            *open &= !unsure;
+        }
+        self.shoot(&candidates[from..]);
+        for packet in &self.packets {
+            packet.note(&mut self.open);
+        }
+        self.is_packed = false;
+        candidates.truncate(start);
+    }
+
+    /// Settles what single leaves of a list may block.
+    fn try_leaves(&mut self, list: &[Kept]) {
+        let families = self.scene.families;
+        let n_open = n_bits(&self.open);
+        if n_open == 0 || candidates::blockers_of(families, list).next().is_none() {
+            return;
+        }
+        self.pack(n_open);
+        self.shoot(list);
+        self.note();
+        self.recent_pays |= (n_open - n_bits(&self.open)) * LEAST_SHARE >= n_open;
+    }
+
+    /// Closes what a remembered disc blocks.
+    fn try_recent(&mut self) {
+        let Scene { discs, profile, .. } = self.scene;
+        let n_open = n_bits(&self.open);
+        self.pack(n_open);
+        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        for packet in &mut self.packets {
+            self.recent.blockers().shoot(&shot, packet, &mut self.counts);
+        }
+        self.note();
+        let n_closed = n_open - n_bits(&self.open);
+        self.counts.n_remembered += n_closed;
+        self.recent_pays = n_closed * LEAST_SHARE >= n_open;
+    }
+
+    /// Packs the open segments, if they are not yet or with a quarter of the lanes idle.
+    fn pack(&mut self, n_open: u64) {
+        if !self.is_packed || n_open * 4 <= (self.packets.len() * WIDTH * 3) as u64 {
+            pack([&self.sides[0], &self.sides[1]], &self.open, &mut self.packets);
+            self.is_packed = true;
+        }
+    }
+
+    /// Opens what is open in the packets, and nothing else.
+    fn note(&mut self) {
+        self.open.fill(0);
+        for packet in &self.packets {
+            packet.note(&mut self.open);
+        }
+    }
+
+    /// Closes what the leaves of a list block among the segments of the packets.
+    fn shoot(&mut self, list: &[Kept]) {
+        let Scene { discs, families, profile, .. } = self.scene;
+        self.blockers.load(discs, candidates::blockers_of(families, list));
+        self.counts.n_loaded += self.blockers.len() as u64;
+        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        for packet in &mut self.packets {
+            if let Some(best) = self.blockers.shoot(&shot, packet, &mut self.counts) {
+                self.recent.remember(&self.blockers, best);
+            }
+        }
+    }
+}
+
+fn n_bits(rows: &[u64]) -> u64 {
+    rows.iter().map(|row| u64::from(row.count_ones())).sum()
+}
+
+/// The decided leaf pairs of a block.
+struct Block<'a> {
+    tree: &'a Tree,
+    /// The first surfel of the rows and of the columns.
+    first: [u32; 2],
+    /// The visible columns of each row, a bit each.
+    open: &'a [u64],
+}
+
+impl Block<'_> {
+    /// Makes statuses and links of the leaf pairs under a pair of nodes of the block.
+    fn fold(&self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
+        let [rows, columns] = [(a, self.first[0]), (b, self.first[1])].map(|(id, first)| {
+            let node = &self.tree.nodes[id as usize];
+            (node.first_surfel - first) as usize..(node.end_surfel - first) as usize
+        });
+        let mask = (u64::MAX >> (u64::BITS as usize - columns.len())) << columns.start;
+        let rows = &self.open[rows];
+        if rows.iter().all(|open| open & mask == 0) {
+            return Status::Invisible;
+        }
+        if rows.iter().all(|open| open & mask == mask) {
+            return Status::Visible;
+        }
+        for x in self.tree.kids(a) {
+            for y in self.tree.kids(b) {
+                if self.fold(x, y, links) == Status::Visible {
+                    links.push((x.min(y), x.max(y)));
+                }
+            }
+        }
+        Status::Partial
+    }
+}
