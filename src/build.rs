@@ -1,10 +1,11 @@
 //! From an octree to its visibility map: joins the cut of `octree` to `visibility`.
 
 use std::path::Path;
+use std::time::Duration;
 
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 use pvmap_store::output::require_own;
-use pvmap_store::{Mapped, StoreError, Watch};
+use pvmap_store::{Mapped, StoreError, Watch, WorkFolder};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
 use pvmap_vmap::container::Kind;
 use pvmap_vmap::octree::FILE_NAME;
@@ -19,6 +20,22 @@ pub struct Built {
     pub report: BuildReport,
     /// Leaf pairs in all, each once: N·(N-1)/2.
     pub n_leaf_pairs: u128,
+}
+
+/// How a build is kept for the case that it ends before its time. It never decides content.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Checkpoints {
+    /// How long finished work may wait to be made durable, about. A build that is done sooner, and
+    /// whose links fit in memory, writes nothing but its map.
+    pub every: Duration,
+    /// Discards what an earlier run left of a build instead of going on with it.
+    pub restart: bool,
+}
+
+impl Default for Checkpoints {
+    fn default() -> Checkpoints {
+        Checkpoints { every: Duration::from_secs(10), restart: false }
+    }
 }
 
 /// Maps the points of an octree folder.
@@ -41,19 +58,41 @@ pub fn open_octree(path: &Path) -> Result<Mapped, Error> {
     }
 }
 
-/// Cuts an octree as the configuration says and makes its visibility map.
+/// Cuts an octree as the configuration says and makes its visibility map, with the default
+/// [`Checkpoints`].
 ///
 /// It runs on [`Limits::threads`] threads of its own; called on a worker of another rayon pool it
 /// nests jobs, see [Threads and memory](crate#threads-and-memory).
 ///
 /// # Errors
-/// Where the octree is damaged, the interaction list breaks a rule, the budget is too small, the
-/// disk fails or the run is asked to stop; a map that was there before is then still there.
+/// Those of [`build_with`].
 pub fn build(
     octree: &Path,
     output: &Path,
     config: &BuildConfig,
     limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<Built, Error> {
+    build_with(octree, output, config, limits, &Checkpoints::default(), watch)
+}
+
+/// Does what [`build()`] does, and is told how to keep it for the case that it ends too early.
+///
+/// The build works in the folder `OUTPUT.build`, which is locked while it runs and gone when the
+/// map is there. Whatever ends it before (a signal, a full disk, `kill -9`, a power cut), the next
+/// call with the same arguments goes on with the chunk tasks that were done; the bytes of the map
+/// are the same. Threads and memory may be others then.
+///
+/// # Errors
+/// Where the octree is damaged, the interaction list breaks a rule, the budget is too small, the
+/// disk fails, another build makes this map, an unfinished one was begun with another
+/// configuration, or the run is asked to stop; a map that was there before is then still there.
+pub fn build_with(
+    octree: &Path,
+    output: &Path,
+    config: &BuildConfig,
+    limits: &Limits,
+    checkpoints: &Checkpoints,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
     let file = open_octree(octree)?;
@@ -63,41 +102,38 @@ pub fn build(
         Error::Octree(pvmap_octree::OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
     };
-    limits.run(|| run(&view, output, config, limits, watch))?.map_err(named)
-}
-
-fn run(
-    view: &OctreeView<'_>,
-    output: &Path,
-    config: &BuildConfig,
-    limits: &Limits,
-    watch: &dyn Watch,
-) -> Result<Built, Error> {
     require_own(output, Kind::Map.start(), "a visibility map")?;
-    let memory_bytes = limits.memory_bytes;
-    let cut_options = CutOptions {
-        max_level: config.max_level,
-        leaf_capacity: config.leaf_capacity,
-        shape: config.tree,
-        profile: config.profile,
-    };
-    // The tree gets most: at worst 2.5 times its size, and what comes after needs 3.5 times.
-    let points_bytes = memory_bytes / 16 * 5;
-    let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };
-    let tree = cut(view, &cut_options, cut_memory, watch)?;
+    // First of all, so that an output that cannot be made, or is being made, costs no work.
+    let work = pvmap_visibility::open_work(output)?;
     let options = BuildOptions {
         max_level: config.max_level,
         leaf_capacity: config.leaf_capacity,
         shape: config.tree,
         profile: config.profile,
         interaction: config.interaction.clone(),
-        memory_bytes,
-        output: output.to_path_buf(),
+        memory_bytes: limits.memory_bytes,
+        checkpoint: checkpoints.every,
+        restart: checkpoints.restart,
     };
+    limits.run(|| run(&view, work, &options, watch))?.map_err(named)
+}
+
+fn run(
+    view: &OctreeView<'_>,
+    work: WorkFolder,
+    options: &BuildOptions,
+    watch: &dyn Watch,
+) -> Result<Built, Error> {
+    let BuildOptions { max_level, leaf_capacity, shape, profile, memory_bytes, .. } = *options;
+    let cut_options = CutOptions { max_level, leaf_capacity, shape, profile };
+    // The tree gets most: at worst 2.5 times its size, and what comes after needs 3.5 times.
+    let points_bytes = memory_bytes / 16 * 5;
+    let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };
+    let tree = cut(view, &cut_options, cut_memory, watch)?;
     let (_, crs) = view.crs().map_err(|e: FormatError| Error::Octree(e.into()))?;
     let digest = view.summary().digest;
     let input = MapInput { tree: &tree, frame: view.frame(), crs, digest };
-    let report = pvmap_visibility::build(&input, &options, watch)?;
+    let report = pvmap_visibility::build(&input, options, work, watch)?;
     let n = u128::from(report.summary.n_surfels);
     Ok(Built { report, n_leaf_pairs: n * n.saturating_sub(1) / 2 })
 }

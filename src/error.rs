@@ -72,7 +72,9 @@ impl Error {
             | Error::Query(QueryError::Format(source)) => of_format(source),
             Error::Octree(OctreeError::TooManyNodes) | Error::Config(_) => 78,
             Error::Octree(OctreeError::Columns { .. } | OctreeError::Lost { .. }) => 70,
-            Error::Visibility(VisibilityError::Compress(_)) => 70,
+            Error::Visibility(VisibilityError::Compress(_) | VisibilityError::Panicked(_)) => 70,
+            Error::Visibility(VisibilityError::Stopped { .. }) => 130,
+            Error::Visibility(VisibilityError::Differs { .. }) => 78,
             Error::Query(e) if e.kind() == pvmap_query::ErrorKind::Usage => 2,
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
             Error::Usage(_) => 2,
@@ -95,7 +97,11 @@ fn of_store(e: &StoreError) -> u8 {
         StoreError::CannotCreate { .. } => 73,
         StoreError::Budget { .. } => 78,
         StoreError::Interrupted => 130,
-        StoreError::NoSpace { .. } | StoreError::TooLittleDisk { .. } | StoreError::Io { .. } => 74,
+        StoreError::Locked { .. } => 75,
+        StoreError::NoSpace { .. }
+        | StoreError::TooLittleDisk { .. }
+        | StoreError::Damaged { .. }
+        | StoreError::Io { .. } => 74,
     }
 }
 

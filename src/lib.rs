@@ -46,7 +46,7 @@ mod limits;
 pub mod rows;
 pub mod scenes;
 
-pub use build::{Built, build, open_octree};
+pub use build::{Built, Checkpoints, build, build_with, open_octree};
 pub use config::BuildConfig;
 pub use error::Error;
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
@@ -58,4 +58,5 @@ pub use pvmap_scan as scan;
 pub use pvmap_scene as scene;
 pub use pvmap_store::output::{TableFile, folder_of};
 pub use pvmap_store::{Mapped, Quiet, StoreError, Watch, memory};
+pub use pvmap_visibility::VisibilityError;
 pub use pvmap_vmap as vmap;

@@ -60,8 +60,48 @@ struct Stage {
     said: Instant,
     peak_bytes: u64,
     bar: Option<ProgressBar>,
+    /// What is known of its chunk tasks.
+    tasks: Option<Tasks>,
     /// When so much was done, the latest last.
     pace: VecDeque<(Instant, u64)>,
+}
+
+/// The chunk tasks of a stage, and what they found.
+#[derive(Debug, Clone, Copy)]
+struct Tasks {
+    n_done: u64,
+    n_total: u64,
+    n_links: u64,
+}
+
+/// The same, as they are told from many threads.
+#[derive(Debug, Default)]
+struct TasksTold {
+    n_done: AtomicU64,
+    n_total: AtomicU64,
+    n_links: AtomicU64,
+}
+
+impl TasksTold {
+    /// Threads may tell in another order than they count.
+    fn tell(&self, n_done: u64, n_total: u64, n_links: u64) {
+        self.n_done.fetch_max(n_done, Ordering::Relaxed);
+        self.n_total.store(n_total, Ordering::Relaxed);
+        self.n_links.fetch_max(n_links, Ordering::Relaxed);
+    }
+
+    fn forget(&self) {
+        for n in [&self.n_done, &self.n_total, &self.n_links] {
+            n.store(0, Ordering::Relaxed);
+        }
+    }
+
+    /// Gives what was told; none where there are no tasks.
+    fn get(&self) -> Option<Tasks> {
+        let [n_done, n_total, n_links] =
+            [&self.n_done, &self.n_total, &self.n_links].map(|n| n.load(Ordering::Relaxed));
+        (n_total > 0).then_some(Tasks { n_done, n_total, n_links })
+    }
 }
 
 struct Shared {
@@ -69,6 +109,7 @@ struct Shared {
     /// The signal that asked to stop, 0 for none.
     signal: Arc<AtomicUsize>,
     done: AtomicU64,
+    tasks: TasksTold,
     quit: AtomicBool,
     stage: Mutex<Option<Stage>>,
     finished: Mutex<Vec<StageDone>>,
@@ -93,6 +134,7 @@ impl Progress {
             mode,
             signal,
             done: AtomicU64::new(0),
+            tasks: TasksTold::default(),
             quit: AtomicBool::new(false),
             stage: Mutex::new(None),
             finished: Mutex::default(),
@@ -141,8 +183,10 @@ impl Watch for Progress {
         let bar = (self.shared.mode == Mode::Bar).then(|| bar(name, total));
         let peak_bytes = memory::rss_anon_bytes().unwrap_or(0);
         self.shared.done.store(0, Ordering::Relaxed);
-        let pace = VecDeque::with_capacity(PACE_SAMPLES);
-        let stage = Stage { name, unit, total, started: now, said: now, peak_bytes, bar, pace };
+        self.shared.tasks.forget();
+        let (pace, tasks) = (VecDeque::with_capacity(PACE_SAMPLES), None);
+        let stage =
+            Stage { name, unit, total, started: now, said: now, peak_bytes, bar, tasks, pace };
         *lock(&self.shared.stage) = Some(stage);
     }
 
@@ -151,15 +195,17 @@ impl Watch for Progress {
     }
 
     fn warn(&self, message: &str) {
-        let stage = lock(&self.shared.stage);
-        let print = || match self.shared.mode {
-            Mode::Json => say(&serde_json::json!({ "warning": message }).to_string()),
-            _ => say(&format!("pvmap: warning: {}", one_line(message))),
-        };
-        match stage.as_ref().and_then(|s| s.bar.as_ref()) {
-            Some(bar) => bar.suspend(print),
-            None => print(),
+        self.shared.tell("warning", &format!("warning: {}", one_line(message)), message);
+    }
+
+    fn note(&self, message: &str) {
+        if self.shared.mode != Mode::Off {
+            self.shared.tell("note", &one_line(message), message);
         }
+    }
+
+    fn tasks(&self, n_done: u64, n_total: u64, n_links: u64) {
+        self.shared.tasks.tell(n_done, n_total, n_links);
     }
 
     fn is_stopped(&self) -> bool {
@@ -168,15 +214,31 @@ impl Watch for Progress {
 }
 
 impl Shared {
+    /// Says a line of its own: plain, or as JSON under a key.
+    fn tell(&self, key: &str, line: &str, message: &str) {
+        let stage = lock(&self.stage);
+        let print = || match self.mode {
+            Mode::Json => say(&serde_json::json!({ key: message }).to_string()),
+            _ => say(&format!("pvmap: {line}")),
+        };
+        match stage.as_ref().and_then(|s| s.bar.as_ref()) {
+            Some(bar) => bar.suspend(print),
+            None => print(),
+        }
+    }
+
     fn tick(&self) {
         let mut stage = lock(&self.stage);
         let Some(stage) = stage.as_mut() else { return };
         stage.peak_bytes = stage.peak_bytes.max(memory::rss_anon_bytes().unwrap_or(0));
         let done = self.done.load(Ordering::Relaxed);
+        stage.tasks = self.tasks.get();
         stage.pace(done);
         if let Some(bar) = &stage.bar {
             bar.set_position(done);
-            bar.set_message(format!("{:<BESIDE_BAR$}", stage.said_of(done, false)));
+            let below = stage.tasks.map(|t| format!("\n{:>11} {}", "", t.said_of(false)));
+            let beside = stage.counted_of(done, false);
+            bar.set_message(format!("{beside:<BESIDE_BAR$}{}", below.unwrap_or_default()));
         } else if stage.said.elapsed() >= LINE_EVERY {
             stage.said = Instant::now();
             self.print(stage, done, false);
@@ -186,6 +248,7 @@ impl Shared {
     fn end_stage(&self) {
         let Some(mut stage) = lock(&self.stage).take() else { return };
         let done = self.done.load(Ordering::Relaxed);
+        stage.tasks = self.tasks.get();
         stage.peak_bytes = stage.peak_bytes.max(memory::rss_anon_bytes().unwrap_or(0));
         if let Some(bar) = stage.bar.take() {
             bar.finish_and_clear();
@@ -201,6 +264,9 @@ impl Shared {
         match self.mode {
             Mode::Json => say(&serde_json::json!({
                 "stage": stage.name, "done": done, "total": stage.total, "unit": stage.unit,
+                "tasks_done": stage.tasks.map(|t| t.n_done),
+                "tasks_total": stage.tasks.map(|t| t.n_total),
+                "links": stage.tasks.map(|t| t.n_links),
                 "seconds": stage.seconds(), "rate": stage.rate(done, ended),
                 "eta_seconds": if ended { None } else { stage.eta_seconds(done) },
                 "rss_anon_bytes": stage.peak_bytes, "ended": ended,
@@ -244,8 +310,14 @@ impl Stage {
         (rate > 0.0).then_some(left / rate)
     }
 
-    /// Says how far it is: 280 M of 401 M pairs, 33.8 M/s, 4 s left.
+    /// Says how far it is: 280 M of 401 M pairs, 33.8 M/s, 4 s left; 310 of 400 tasks, 5.1 M links.
     fn said_of(&self, done: u64, ended: bool) -> String {
+        let tasks = self.tasks.map(|t| format!("; {}", t.said_of(ended)));
+        format!("{}{}", self.counted_of(done, ended), tasks.unwrap_or_default())
+    }
+
+    /// Says how far it is in units of its own.
+    fn counted_of(&self, done: u64, ended: bool) -> String {
         let unit = self.unit;
         let rate = si(self.rate(done, ended));
         let counted = match self.total.filter(|_| !ended) {
@@ -261,6 +333,16 @@ impl Stage {
             0 if self.total.is_none() => time,
             0 => format!("{counted}, {time}"),
             _ => format!("{counted}, {rate}/s, {time}"),
+        }
+    }
+}
+
+impl Tasks {
+    fn said_of(&self, ended: bool) -> String {
+        let n_links = si(self.n_links as f64);
+        match ended {
+            true => format!("{} tasks, {n_links} links", self.n_total),
+            false => format!("{} of {} tasks, {n_links} links", self.n_done, self.n_total),
         }
     }
 }
@@ -354,10 +436,22 @@ mod tests {
             said: ago(0),
             peak_bytes: 0,
             bar: None,
+            tasks: None,
             // Half of it was done at once, the rest goes at some 10 000 a second.
             pace: [(ago(10_000), 500_000), (ago(1_000), 590_000)].into(),
         };
         assert_eq!(stage.said_of(600_000, false), "600 k of 1.00 M points, 10.0 k/s, 40 s left");
         assert_eq!(stage.said_of(1_000_000, true), "1.00 M points, 50.0 k/s, 20 s");
+        let tasks = TasksTold::default();
+        assert!(tasks.get().is_none());
+        tasks.tell(7, 20, 12_345);
+        tasks.tell(6, 20, 11_000);
+        let stage = Stage { tasks: tasks.get(), ..stage };
+        assert_eq!(
+            stage.said_of(600_000, false),
+            "600 k of 1.00 M points, 10.0 k/s, 40 s left; 7 of 20 tasks, 12.3 k links"
+        );
+        tasks.forget();
+        assert!(tasks.get().is_none());
     }
 }

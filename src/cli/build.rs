@@ -3,9 +3,10 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use pvmap::config::{RawConfig, RawProfile, RawTree, at_lines};
-use pvmap::{Built, Error};
+use pvmap::{Built, Checkpoints, Error};
 
 use super::{Context, Outcome, mib, refuse_input, threads_parser};
 use crate::progress::si;
@@ -28,6 +29,11 @@ interaction list; flags override it. In brackets above stands what depth8 says:
   memory = \"1GiB\"
   [interaction]
   list = \"pairs.csv\"     columns node_a,node_b; instead of all siblings
+
+A build can be stopped at any time and in any way (Ctrl-C, kill, power cut): what was there under
+the map's name stays, and the same command goes on where it was. Until the map is done, the tasks
+that are lie in the folder NAME.vmap.build beside it, locked against a second build of the same
+map. Threads and memory may be others when it goes on, the configuration may not.
 
 Examples:
   pvmap build                                   the only *.octree here, depth 8
@@ -77,6 +83,13 @@ pub(super) struct Args {
     /// Most memory to hold, at least 64MiB [depth8: 1GiB]
     #[arg(long, value_name = "SIZE", value_parser = checked_memory)]
     memory: Option<String>,
+    /// How long finished tasks may wait to be written down, about; 0 writes
+    /// down each at once
+    #[arg(long, value_name = "SECONDS", default_value = "10", verbatim_doc_comment)]
+    checkpoint: u32,
+    /// Begin anew, and discard what an unfinished build left
+    #[arg(long)]
+    restart: bool,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
@@ -101,7 +114,10 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         None => default_output(&octree),
     };
     refuse_input(&output, &[octree.join(pvmap::vmap::octree::FILE_NAME)])?;
-    let built = pvmap::build(&octree, &output, &config, &limits, &context.progress);
+    let every = Duration::from_secs(args.checkpoint.into());
+    let checkpoints = Checkpoints { every, restart: args.restart };
+    let built =
+        pvmap::build_with(&octree, &output, &config, &limits, &checkpoints, &context.progress);
     let built = built.map_err(|e| match &list {
         Some(list) => at_lines(list, e),
         None => e,
@@ -182,13 +198,12 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
     )?;
     let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
     let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
-    let rate = pairs as f64 / seconds.max(1e-9);
-    writeln!(
-        out,
-        "  time      {seconds:.2} s, {} pairs/s, at most {} of memory",
-        si(rate),
-        mib(peak)
-    )
+    let pace = match built.report.n_tasks_resumed {
+        0 => format!("{} pairs/s", si(pairs as f64 / seconds.max(1e-9))),
+        // What an earlier run did took time of its own.
+        n => format!("for {} of {} tasks", built.report.n_tasks - n, built.report.n_tasks),
+    };
+    writeln!(out, "  time      {seconds:.2} s, {pace}, at most {} of memory", mib(peak))
 }
 
 /// Gives N², which counts each pair of surfels twice, as the paper does.

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use clap::{Parser, Subcommand};
-use pvmap::{Error, StoreError};
+use pvmap::{Error, StoreError, VisibilityError};
 
 use crate::progress::{Mode, Progress};
 
@@ -60,8 +60,9 @@ Examples:
 
 Exit codes:
   0 done, or yes          1 query pair: no           2 wrong usage          65 bad data
-  66 no such input        70 a bug                   73 cannot create       74 disk or I/O
-  77 no permission        78 configuration, version  129, 130, 143 stopped by a signal";
+  66 no such input        70 a bug, no memory        73 cannot create       74 disk or I/O
+  75 locked               77 no permission           78 configuration, version
+  129, 130, 143 stopped by a signal";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -200,11 +201,19 @@ fn fail(e: &anyhow::Error, signal: usize) -> ExitCode {
     }
     let code = e.downcast_ref::<Error>().map_or(70, Error::exit_code);
     if code == 130 {
-        report("interrupted; nothing was left behind");
+        match e.downcast_ref::<Error>() {
+            Some(stopped @ Error::Visibility(VisibilityError::Stopped { .. })) => {
+                report(&stopped.to_string());
+            }
+            _ => report("interrupted; nothing was left behind"),
+        }
         // The number of a signal that is listened to is at most 15.
         return ExitCode::from(128 + signal as u8);
     }
-    report(&e.to_string());
+    // The panic hook has said what happened.
+    if !matches!(e.downcast_ref::<Error>(), Some(Error::Visibility(VisibilityError::Panicked(_)))) {
+        report(&e.to_string());
+    }
     ExitCode::from(code)
 }
 

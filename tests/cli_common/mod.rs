@@ -3,6 +3,8 @@
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
+pub mod faults;
+
 use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::io::Read;

@@ -65,6 +65,22 @@ pub enum StoreError {
         /// What the system said.
         source: io::Error,
     },
+    /// Another run makes this output.
+    #[error("{}: locked by {holder}; wait for it or stop it", path.display())]
+    Locked {
+        /// The output.
+        path: PathBuf,
+        /// Who, and since when.
+        holder: String,
+    },
+    /// A temporary file is not what was written to it.
+    #[error(
+        "{}: damaged since it was written; run again, what was in it is done anew", path.display()
+    )]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+    },
     /// The run was asked to stop.
     #[error("interrupted")]
     Interrupted,
@@ -94,6 +110,20 @@ impl StoreError {
                 StoreError::NoSpace { path, action }
             }
             _ => StoreError::Io { path, action, source },
+        }
+    }
+
+    /// Names an error at a file of the run's own, which was there and could be written before: that
+    /// it is missing or may not be touched any more is a failure of the disk, not a wrong name.
+    pub fn own(path: &Path, action: &'static str, source: io::Error) -> StoreError {
+        match StoreError::io(path, action, source) {
+            StoreError::NotFound { path } => {
+                StoreError::Io { path, action, source: io::ErrorKind::NotFound.into() }
+            }
+            StoreError::Permission { path, action } => {
+                StoreError::Io { path, action, source: io::ErrorKind::PermissionDenied.into() }
+            }
+            other => other,
         }
     }
 }

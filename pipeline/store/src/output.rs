@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
-use crate::{InputFile, StoreError};
+use crate::{InputFile, StoreError, WorkFolder};
 
 /// A file that appears under its name only when [`AtomicFile::commit`] is called; dropped before,
 /// it leaves nothing behind.
@@ -34,22 +34,23 @@ impl AtomicFile {
     /// Where the folder does not exist or may not be written, or something that is no regular file
     /// has that name.
     pub fn create(path: &Path) -> Result<AtomicFile, StoreError> {
-        let target = match standing(path)? {
-            (_, Some(kind)) if !kind.is_file() => {
-                return refuse(path, format!("{} has that name; give another", word_of(kind)));
-            }
-            (_, None) if path.as_os_str().as_bytes().ends_with(b"/") => {
-                return refuse(
-                    path,
-                    "a folder's name, it ends in a slash; give a file's".to_owned(),
-                );
-            }
-            (target, _) => target,
-        };
+        let target = standing_file(path)?;
         let named = NamedTempFile::with_prefix_in(".pvmap-", folder_of(&target))
             .map_err(|e| cannot_create(path, e))?;
         let (file, temp) = named.into_parts();
         Ok(AtomicFile { file, temp, path: path.to_path_buf(), target })
+    }
+
+    /// Starts the output of a work folder, in that folder.
+    ///
+    /// # Errors
+    /// Where the disk fails or is full.
+    pub fn create_in(work: &WorkFolder, name: &str) -> Result<AtomicFile, StoreError> {
+        let (temp, path) = (work.file(name), work.output().to_path_buf());
+        let fail = |e| StoreError::own(&path, "start", e);
+        let file = File::options().read(true).write(true).create(true).truncate(true).open(&temp);
+        let (file, temp) = (file.map_err(fail)?, TempPath::try_from_path(temp).map_err(fail)?);
+        Ok(AtomicFile { file, temp, path, target: work.target().to_path_buf() })
     }
 
     /// Gives the final name.
@@ -95,13 +96,39 @@ impl AtomicFile {
     /// # Errors
     /// Where the disk fails; then what was under the name before is still there.
     pub fn commit(self) -> Result<(), StoreError> {
+        self.close()?.publish()
+    }
+
+    /// Makes the file durable under the name it has until it is published.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn close(self) -> Result<ClosedFile, StoreError> {
         let fail = |e| StoreError::io(&self.path, "commit", e);
         // mkstemp makes files for the owner alone; an artifact is as readable as the umask says.
         set_default_mode(&self.file).map_err(fail)?;
         self.file.sync_all().map_err(fail)?;
+        Ok(ClosedFile { temp: self.temp, path: self.path, target: self.target })
+    }
+}
+
+/// A file that is whole and durable but has not got its name.
+#[derive(Debug)]
+pub struct ClosedFile {
+    temp: TempPath,
+    path: PathBuf,
+    target: PathBuf,
+}
+
+impl ClosedFile {
+    /// Gives the file its final name, replacing what was there.
+    ///
+    /// # Errors
+    /// Where the disk fails; then what was under the name before is still there.
+    pub fn publish(self) -> Result<(), StoreError> {
         self.temp
             .persist(&self.target)
-            .map_err(|e| StoreError::io(&self.path, "rename", e.error))?;
+            .map_err(|e| StoreError::own(&self.path, "rename", e.error))?;
         sync_folder(folder_of(&self.target))
     }
 }
@@ -332,6 +359,19 @@ pub fn sync_folder(folder: &Path) -> Result<(), StoreError> {
         .map_err(|e| StoreError::io(folder, "sync the folder", e))
 }
 
+/// Finds where a file goes: nothing is there, or a file that it replaces. Links are followed.
+pub(crate) fn standing_file(path: &Path) -> Result<PathBuf, StoreError> {
+    match standing(path)? {
+        (_, Some(kind)) if !kind.is_file() => {
+            refuse(path, format!("{} has that name; give another", word_of(kind)))
+        }
+        (_, None) if path.as_os_str().as_bytes().ends_with(b"/") => {
+            refuse(path, "a folder's name, it ends in a slash; give a file's".to_owned())
+        }
+        (target, _) => Ok(target),
+    }
+}
+
 /// Finds what stands under an output's name, and where: links are followed.
 fn standing(path: &Path) -> Result<(PathBuf, Option<FileType>), StoreError> {
     if path.file_name().is_none() {
@@ -360,12 +400,12 @@ fn word_of(kind: FileType) -> &'static str {
     }
 }
 
-fn refuse<T>(path: &Path, reason: String) -> Result<T, StoreError> {
+pub(crate) fn refuse<T>(path: &Path, reason: String) -> Result<T, StoreError> {
     Err(StoreError::CannotCreate { path: path.to_path_buf(), reason })
 }
 
 /// Says why an output could not be started.
-fn cannot_create(path: &Path, e: io::Error) -> StoreError {
+pub(crate) fn cannot_create(path: &Path, e: io::Error) -> StoreError {
     match e.kind() {
         io::ErrorKind::PermissionDenied | io::ErrorKind::StorageFull => {
             StoreError::io(path, "create", e)

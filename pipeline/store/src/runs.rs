@@ -1,5 +1,6 @@
 //! Sorted runs: pairs of ids that were sorted in memory, put away packed, and merged at the end.
-//! As much as the limit allows is held, the rest goes to one temporary file.
+//! As much as the limit allows is held, the rest goes to one temporary file. Runs that must outlive
+//! the process are saved to files with names ([`saved`]).
 
 use std::cell::{Cell, OnceCell};
 use std::cmp::Reverse;
@@ -7,8 +8,11 @@ use std::collections::{BinaryHeap, VecDeque};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::StoreError;
+
+pub mod saved;
 
 /// A pair of ids; pairs are ordered by their first id, then the second.
 pub type Pair = (u32, u32);
@@ -39,7 +43,16 @@ struct Run {
 #[derive(Debug)]
 enum Piece {
     Held(Vec<u8>),
-    OnDisk { offset_bytes: u64, len_bytes: usize },
+    OnDisk(Extent),
+}
+
+/// A piece in a file: the temporary one, or one with a name.
+#[derive(Debug)]
+struct Extent {
+    file: Option<Arc<Path>>,
+    offset_bytes: u64,
+    len_bytes: usize,
+    crc: u32,
 }
 
 impl Runs {
@@ -50,6 +63,7 @@ impl Runs {
             folder: folder.to_path_buf(),
             file: OnceCell::new(),
             file_bytes: Cell::new(0),
+            saved_bytes: 0,
             held_bytes: Cell::new(0),
             limit_bytes,
         };
@@ -63,7 +77,15 @@ impl Runs {
 
     /// Gives the bytes that went to disk so far.
     pub fn spilled_bytes(&self) -> u64 {
-        self.shelf.file_bytes.get()
+        self.shelf.file_bytes.get() + self.shelf.saved_bytes
+    }
+
+    /// Says whether a run of these pairs would be held in memory.
+    pub fn has_room_for(&self, pairs: &[Pair]) -> bool {
+        let mut before = (0, 0);
+        let packed =
+            pairs.iter().map(|&pair| n_packed_bytes(std::mem::replace(&mut before, pair), pair));
+        self.shelf.held_bytes.get() + packed.sum::<u64>() <= self.shelf.limit_bytes
     }
 
     /// Puts away a run: pairs that rise strictly.
@@ -71,10 +93,8 @@ impl Runs {
     /// # Errors
     /// Where the disk fails or is full.
     pub fn push(&mut self, pairs: &[Pair]) -> Result<(), StoreError> {
-        let mut packer = Packer::new(&self.shelf);
-        for &pair in pairs {
-            packer.put(pair)?;
-        }
+        let mut packer = Packer::new(|bytes: &[u8]| self.shelf.keep(bytes));
+        pairs.iter().try_for_each(|&pair| packer.put(pair))?;
         let run = packer.finish()?;
         self.runs.extend((run.n_pairs > 0).then_some(run));
         Ok(())
@@ -103,7 +123,7 @@ impl Runs {
     ) -> Result<(), E> {
         while self.runs.len() > MAX_FAN_IN {
             let group = self.runs.drain(..MAX_FAN_IN).collect();
-            let mut packer = Packer::new(&self.shelf);
+            let mut packer = Packer::new(|bytes: &[u8]| self.shelf.keep(bytes));
             let mut n_told = 0;
             merge_runs(&self.shelf, group, |pair| {
                 packer.put(pair)?;
@@ -140,6 +160,7 @@ struct Shelf {
     folder: PathBuf,
     file: OnceCell<File>,
     file_bytes: Cell<u64>,
+    saved_bytes: u64,
     held_bytes: Cell<u64>,
     limit_bytes: u64,
 }
@@ -156,7 +177,8 @@ impl Shelf {
         let written = self.file()?.write_all_at(bytes, offset_bytes);
         written.map_err(|e| StoreError::io(&self.folder, "write a temporary file in", e))?;
         self.file_bytes.set(offset_bytes + bytes.len() as u64);
-        Ok(Piece::OnDisk { offset_bytes, len_bytes: bytes.len() })
+        let (len_bytes, crc) = (bytes.len(), crc32fast::hash(bytes));
+        Ok(Piece::OnDisk(Extent { file: None, offset_bytes, len_bytes, crc }))
     }
 
     /// Moves a piece into a buffer and releases what it held.
@@ -167,13 +189,31 @@ impl Shelf {
                 *buffer = bytes;
                 Ok(())
             }
-            Piece::OnDisk { offset_bytes, len_bytes } => {
-                buffer.resize(len_bytes, 0);
-                self.file()?
-                    .read_exact_at(buffer, offset_bytes)
-                    .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))
+            Piece::OnDisk(extent) => {
+                buffer.resize(extent.len_bytes, 0);
+                self.read(&extent, buffer)
             }
         }
+    }
+
+    /// Reads a piece back. A file with a name is opened for each, 64 KiB at a time: there may be
+    /// more of them than a process may have open.
+    fn read(&self, extent: &Extent, buffer: &mut [u8]) -> Result<(), StoreError> {
+        let (path, read) = match &extent.file {
+            Some(path) => {
+                let opened = File::open(path);
+                (&**path, opened.and_then(|f| f.read_exact_at(buffer, extent.offset_bytes)))
+            }
+            None => {
+                let read = self.file()?.read_exact_at(buffer, extent.offset_bytes);
+                (&*self.folder, read)
+            }
+        };
+        read.map_err(|e| StoreError::own(path, "read a temporary file", e))?;
+        if crc32fast::hash(buffer) != extent.crc {
+            return Err(StoreError::Damaged { path: path.to_path_buf() });
+        }
+        Ok(())
     }
 
     fn file(&self) -> Result<&File, StoreError> {
@@ -187,38 +227,38 @@ impl Shelf {
 }
 
 /// Packs pairs into the pieces of a run.
-struct Packer<'a> {
-    shelf: &'a Shelf,
+struct Packer<F> {
+    keep: F,
     run: Run,
     buffer: Vec<u8>,
     before: Pair,
 }
 
-impl Packer<'_> {
-    fn new(shelf: &Shelf) -> Packer<'_> {
+impl<F: FnMut(&[u8]) -> Result<Piece, E>, E> Packer<F> {
+    /// Starts a run whose pieces `keep` takes.
+    fn new(keep: F) -> Packer<F> {
         let buffer = Vec::with_capacity(PIECE_BYTES);
-        Packer { shelf, run: Run::default(), buffer, before: (0, 0) }
+        Packer { keep, run: Run::default(), buffer, before: (0, 0) }
     }
 
-    fn put(&mut self, pair: Pair) -> Result<(), StoreError> {
-        let step = pair.0 - self.before.0;
+    fn put(&mut self, pair: Pair) -> Result<(), E> {
+        let (step, second) = steps(self.before, pair);
         put_varint(&mut self.buffer, step);
-        // Within a list the partners rise too; the first of a list stands as it is.
-        put_varint(&mut self.buffer, if step == 0 { pair.1 - self.before.1 } else { pair.1 });
+        put_varint(&mut self.buffer, second);
         self.before = pair;
         self.run.n_pairs += 1;
         if self.buffer.len() > PIECE_BYTES - MAX_PAIR_BYTES { self.flush() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<(), StoreError> {
+    fn flush(&mut self) -> Result<(), E> {
         if !self.buffer.is_empty() {
-            self.run.pieces.push_back(self.shelf.keep(&self.buffer)?);
+            self.run.pieces.push_back((self.keep)(&self.buffer)?);
             self.buffer.clear();
         }
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Run, StoreError> {
+    fn finish(mut self) -> Result<Run, E> {
         self.flush()?;
         Ok(self.run)
     }
@@ -277,6 +317,18 @@ fn merge_runs<E: From<StoreError>>(
     Ok(())
 }
 
+/// Gives what is stored of a pair that follows another.
+fn steps(before: Pair, pair: Pair) -> (u32, u32) {
+    let step = pair.0 - before.0;
+    // Within a list the partners rise too; the first of a list stands as it is.
+    (step, if step == 0 { pair.1 - before.1 } else { pair.1 })
+}
+
+fn n_packed_bytes(before: Pair, pair: Pair) -> u64 {
+    let (step, second) = steps(before, pair);
+    [step, second].map(|v| u64::from((32 - v.leading_zeros()).max(1).div_ceil(7))).iter().sum()
+}
+
 fn put_varint(out: &mut Vec<u8>, mut v: u32) {
     while v >= 0x80 {
         out.push(v as u8 | 0x80);
@@ -326,7 +378,10 @@ mod tests {
             let mut runs = Runs::new(folder.path(), limit_bytes);
             for r in 0..n_runs {
                 let run: Vec<Pair> = (0..n).filter(|i| i % n_runs == r).map(pair).collect();
+                let (n_held, has_room) = (runs.shelf.held_bytes.get(), runs.has_room_for(&run));
                 runs.push(&run).unwrap();
+                let is_held = runs.spilled_bytes() == 0;
+                assert!(has_room == is_held || n_held < limit_bytes);
                 assert!(runs.shelf.held_bytes.get() <= limit_bytes);
             }
             assert_eq!(runs.n_pairs(), u64::from(n));

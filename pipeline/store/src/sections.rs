@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use crc32fast::Hasher;
 
-use crate::StoreError;
-use crate::output::AtomicFile;
+use crate::output::{AtomicFile, ClosedFile};
+use crate::{StoreError, WorkFolder};
 
 /// Bytes under one checksum.
 pub const BLOCK_BYTES: usize = 65_536;
@@ -44,6 +44,18 @@ impl SectionFile {
     /// Those of [`AtomicFile::create`].
     pub fn create(path: &Path, head_bytes: u64) -> Result<SectionFile, StoreError> {
         Ok(SectionFile { file: AtomicFile::create(path)?, end_bytes: head_bytes })
+    }
+
+    /// Starts the output of a work folder, leaving room for a head of `head_bytes`.
+    ///
+    /// # Errors
+    /// Those of [`AtomicFile::create_in`].
+    pub fn create_in(
+        work: &WorkFolder,
+        name: &str,
+        head_bytes: u64,
+    ) -> Result<SectionFile, StoreError> {
+        Ok(SectionFile { file: AtomicFile::create_in(work, name)?, end_bytes: head_bytes })
     }
 
     /// Writes a section that is at hand.
@@ -136,6 +148,25 @@ impl SectionFile {
         self.file.read_at(buf, offset_bytes)
     }
 
+    /// Reads a finished section back and compares its checksums: a disk may say that it wrote what
+    /// it did not.
+    ///
+    /// # Errors
+    /// Where the disk fails, or a block is not what was written.
+    pub fn check(&self, section: &Section) -> Result<(), StoreError> {
+        let mut block = vec![0; BLOCK_BYTES.min(section.len_bytes as usize)];
+        let mut left_bytes = section.len_bytes;
+        for (i, &sum) in (0..).zip(&section.sums) {
+            let now = &mut block[..left_bytes.min(BLOCK_BYTES as u64) as usize];
+            self.file.read_at(now, section.offset_bytes + i * BLOCK_BYTES as u64)?;
+            if crc32fast::hash(now) != sum {
+                return Err(StoreError::Damaged { path: self.file.path().to_path_buf() });
+            }
+            left_bytes -= now.len() as u64;
+        }
+        Ok(())
+    }
+
     /// Writes the head and the last bytes of the file, and gives it its name.
     ///
     /// # Errors
@@ -146,9 +177,28 @@ impl SectionFile {
         tail: &[u8],
         tail_offset_bytes: u64,
     ) -> Result<(), StoreError> {
-        self.file.write_at(head, 0)?;
-        self.file.write_at(tail, tail_offset_bytes)?;
-        self.file.commit()
+        self.close(head, tail, tail_offset_bytes)?.publish()
+    }
+
+    /// Writes the head and the last bytes of the file and makes it durable.
+    ///
+    /// # Errors
+    /// Where the disk fails, or what was written does not read back.
+    pub fn close(
+        self,
+        head: &[u8],
+        tail: &[u8],
+        tail_offset_bytes: u64,
+    ) -> Result<ClosedFile, StoreError> {
+        for (bytes, offset_bytes) in [(head, 0), (tail, tail_offset_bytes)] {
+            self.file.write_at(bytes, offset_bytes)?;
+            let mut found = vec![0; bytes.len()];
+            self.file.read_at(&mut found, offset_bytes)?;
+            if found != bytes {
+                return Err(StoreError::Damaged { path: self.file.path().to_path_buf() });
+            }
+        }
+        self.file.close()
     }
 
     fn take(&mut self, len_bytes: u64) -> u64 {

@@ -13,6 +13,12 @@ pub trait Watch: Sync {
     /// Something the person should know; the run goes on.
     fn warn(&self, message: &str);
 
+    /// Something good to know; the run goes on.
+    fn note(&self, _message: &str) {}
+
+    /// Of the chunk tasks of this stage so many are done, and found so many links.
+    fn tasks(&self, _n_done: u64, _n_total: u64, _n_links: u64) {}
+
     /// Says whether the run was asked to stop.
     fn is_stopped(&self) -> bool;
 

@@ -1,14 +1,17 @@
 //! The stage as a whole: a tree in, a map file out.
 
-use std::path::PathBuf;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use pvmap_geometry::disc::{Disc, Profile};
-use pvmap_store::memory::require;
-use pvmap_store::output::folder_of;
+use pvmap_store::memory::{require, require_disk};
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::sections::Section;
-use pvmap_store::{SectionFile, StoreError, Watch};
+use pvmap_store::{SectionFile, StoreError, Watch, WorkFolder};
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::links::LinkEncoder;
@@ -21,9 +24,11 @@ use crate::bounds;
 use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
 use crate::interaction::{self, checked_pairs, sibling_pairs};
+use crate::journal::{self, Begun, Journal, SavedPlan};
 use crate::kernel::Counts;
 use crate::pairs::{Decider, Scene, Status};
 use crate::sheets::Sheets;
+use crate::sink::{Found, Kept, Sink};
 use crate::tasks::{Plan, PlanLimits, n_leaf_pairs};
 
 /// What decides the content of a map, and what does not.
@@ -41,8 +46,10 @@ pub struct BuildOptions {
     pub interaction: Option<Vec<Pair>>,
     /// Most anonymous memory to hold, less 16 MiB and 2 MiB a thread. [D-9]
     pub memory_bytes: u64,
-    /// The map to make.
-    pub output: PathBuf,
+    /// How long at most, about, finished tasks may wait for their commit.
+    pub checkpoint: Duration,
+    /// Discards what an earlier build left instead of going on with it.
+    pub restart: bool,
 }
 
 /// What a map says of the scan it was made from.
@@ -71,25 +78,37 @@ pub struct BuildReport {
     pub temporary_bytes: u64,
     /// Chunk tasks.
     pub n_tasks: u64,
+    /// Those of them that an earlier run had done.
+    pub n_tasks_resumed: u64,
     /// What the leaf kernel did.
     pub counts: Counts,
 }
 
+/// Makes and locks the folder in which a map is built.
+///
+/// # Errors
+/// Where the map could not be made under this name, or another build is at it.
+pub fn open_work(output: &Path) -> Result<WorkFolder, StoreError> {
+    WorkFolder::open(output, journal::is_work_file)
+}
+
 /// Decides all pairs and writes the map. Runs on the current rayon pool.
 ///
-/// The bytes are those that [V-1]…[V-5] define, whatever the threads and the memory.
+/// The bytes are those that [V-1]…[V-5] define, whatever the threads and the memory, and however
+/// often the build was killed and run again: what an earlier run committed to `work` is not decided
+/// again. [D-8], [D-9]
 ///
 /// # Errors
 /// Where the interaction list breaks a rule, the disk fails, the budget cannot hold the surfels
-/// and the plan, or the run is asked to stop; `output` is then what it was before.
+/// and the plan, the run is asked to stop, or `work` holds another build; the output is then what
+/// it was before.
 pub fn build(
     input: &MapInput<'_>,
     options: &BuildOptions,
+    mut work: WorkFolder,
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
-    // First of all, so that an output that cannot be made costs no work.
-    let file = SectionFile::create(&options.output, head_bytes(SECTIONS.len()))?;
     let fixed = fixed_bytes(tree, options.interaction.as_deref());
     let least = rayon::current_num_threads() as u64 * LEAST_THREAD_BYTES;
     require("the surfels and nodes of this tree", fixed + least, options.memory_bytes)?;
@@ -97,6 +116,13 @@ pub fn build(
         Some(given) => checked_pairs(tree, given)?,
         None => sibling_pairs(tree),
     };
+    let config = config_of(options, options.interaction.as_ref().map(|_| starts.as_slice()));
+    let mut saved = plan_of(input, &config);
+    if options.restart {
+        work.clear(|_| true)?;
+    }
+    let begun = Begun::find(&mut work, &saved, watch)?;
+    require_disk(work.path(), least_output_bytes(input))?;
     let profile = options.profile;
     let discs: Vec<Disc> =
         (0..tree.surfels.len() as u32).into_par_iter().map(|s| tree.disc(s, profile)).collect();
@@ -106,58 +132,161 @@ pub fn build(
     let (discs, bounds, families, sheets) = (&discs, &bounds, &families, &sheets);
     let scene = Scene { tree, discs, bounds, families, sheets, profile };
     let shares = Shares::of(options.memory_bytes - fixed);
-    let plan = Plan::new(&scene, &starts, &shares.plan)?;
-    let links = LinkSink::new(options, &shares);
-    let counts = decide(&scene, &starts, &plan, &links, watch)?;
-    let interaction = options.interaction.as_ref().map(|_| starts.as_slice());
-    write(file, input, options, interaction, links, watch).map(|report| BuildReport {
-        n_tasks: plan.tasks.len() as u64,
-        counts,
-        ..report
-    })
+    let plan = match &begun {
+        Some(begun) => {
+            let target = shares.require_tasks(begun.target())?;
+            Plan::with_target(&scene, &starts, target, &shares.plan)?
+        }
+        None => Plan::new(&scene, &starts, &shares.plan)?,
+    };
+    saved.target = plan.target;
+    let mut runs = Runs::new(work.path(), shares.runs_bytes);
+    let mut statuses = vec![None; plan.tasks.len()];
+    let done = |task: u32, status| statuses[task as usize] = Some(status);
+    let journal = Journal::new(work, saved, &plan, begun, &mut runs, watch, done)?;
+    let n_tasks_resumed = statuses.iter().flatten().count() as u64;
+    let full_links = shares.plan.task_links as usize;
+    let sink = Sink::new(runs, statuses, journal, full_links, options.checkpoint);
+    let counts = decide(&scene, &starts, &plan, &sink, watch)?;
+    let mut kept = sink.into_kept();
+    let mut above = Vec::new();
+    let statuses: Vec<Status> = kept.statuses.iter().copied().flatten().collect();
+    assert_eq!(statuses.len(), plan.tasks.len(), "every task is done");
+    plan.combine(&statuses, &mut above);
+    above.sort_unstable();
+    kept.runs.push(&above)?;
+    let stopped = kept.journal.stopped(plan.tasks.len() as u64);
+    let report = write(input, &config, kept, watch).map_err(|e| match e {
+        VisibilityError::Store(StoreError::Interrupted) => stopped,
+        e => e,
+    })?;
+    Ok(BuildReport { n_tasks: plan.tasks.len() as u64, n_tasks_resumed, counts, ..report })
 }
 
-/// Decides all tasks and what stands above them.
+/// Decides all tasks that are not done.
 fn decide(
     scene: &Scene<'_>,
     starts: &[Pair],
     plan: &Plan,
-    links: &LinkSink,
+    sink: &Sink,
     watch: &dyn Watch,
 ) -> Result<Counts, VisibilityError> {
-    let pairs = |list: &[Pair]| list.iter().map(|&(a, b)| n_leaf_pairs(scene, a, b)).sum::<u64>();
-    let total = pairs(starts);
-    watch.stage("visibility", Some(total), "pairs");
-    // What the plan settled by facing needs no task.
-    watch.advance(total - pairs(&plan.tasks));
-    let deciders: Mutex<Vec<(Decider<'_>, Vec<Pair>)>> = Mutex::default();
-    let idle = || deciders.lock().unwrap_or_else(PoisonError::into_inner);
-    let statuses: Vec<Status> = plan
-        .tasks
-        .par_iter()
-        // Each task can be stolen: rayon's own pieces of a list last minutes where tasks do.
-        .with_max_len(1)
-        .map(|&(a, b)| {
-            watch.check()?;
-            let taken = idle().pop();
-            let (mut decider, mut found) =
-                taken.unwrap_or_else(|| (Decider::new(*scene), Vec::new()));
-            let status = decider.decide(a, b, &mut found);
-            links.put_when_full(&mut found)?;
-            idle().push((decider, found));
-            watch.advance(n_leaf_pairs(scene, a, b));
-            Ok(status)
-        })
-        .collect::<Result<_, StoreError>>()?;
-    let mut counts = Counts::default();
-    for (decider, mut found) in deciders.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        counts.add(&decider.counts());
-        links.put(&mut found)?;
+    let pairs_of = |list: &mut dyn Iterator<Item = &Pair>| {
+        list.map(|&(a, b)| n_leaf_pairs(scene, a, b)).sum::<u64>()
+    };
+    let total = pairs_of(&mut starts.iter());
+    let n_tasks = plan.tasks.len() as u64;
+    let (open, n_links_before) = {
+        let kept = sink.lock();
+        let is_open = |&i: &u32| kept.statuses[i as usize].is_none();
+        let open: Vec<u32> = (0..plan.tasks.len() as u32).filter(is_open).collect();
+        (open, kept.runs.n_pairs())
+    };
+    let n_resumed = n_tasks - open.len() as u64;
+    if n_resumed > 0 {
+        watch.note(&format!("resuming: {n_resumed} of {n_tasks} tasks are done"));
     }
-    let mut above = Vec::new();
-    plan.combine(&statuses, &mut above);
-    links.put(&mut above)?;
+    watch.stage("visibility", Some(total), "pairs");
+    // What the plan settled by facing needs no task, and what is done needs none any more.
+    watch.advance(total - pairs_of(&mut open.iter().map(|&i| &plan.tasks[i as usize])));
+    watch.tasks(n_resumed, n_tasks, n_links_before);
+    let (n_done, n_links) = (AtomicU64::new(n_resumed), AtomicU64::new(n_links_before));
+    let deciders: Mutex<Vec<Decider<'_>>> = Mutex::default();
+    let buffers: Mutex<Vec<Found>> = Mutex::default();
+    // Each task can be stolen: rayon's own pieces of a list last minutes where tasks do.
+    let outcome = open.par_iter().with_max_len(1).try_for_each(|&task| {
+        watch.check()?;
+        let mut found = locked(&buffers).pop().unwrap_or_default();
+        let n_before = found.links.len();
+        // Caught here, so that the others stop and what is done is kept (F12).
+        let decided = catch_unwind(AssertUnwindSafe(|| {
+            let mut decider = locked(&deciders).pop().unwrap_or_else(|| Decider::new(*scene));
+            let (a, b) = plan.tasks[task as usize];
+            let status = decider.decide(a, b, &mut found.links);
+            locked(&deciders).push(decider);
+            let n_new = (found.links.len() - n_before) as u64;
+            let n_links = n_links.fetch_add(n_new, Ordering::Relaxed) + n_new;
+            watch.advance(n_leaf_pairs(scene, a, b));
+            watch.tasks(n_done.fetch_add(1, Ordering::Relaxed) + 1, n_tasks, n_links);
+            status
+        }));
+        let taken = match decided {
+            Ok(status) => {
+                found.tasks.push((task, status));
+                sink.take_when_due(&mut found).map_err(VisibilityError::from)
+            }
+            Err(panic) => {
+                found.links.truncate(n_before);
+                Err(VisibilityError::Panicked(message_of(panic.as_ref())))
+            }
+        };
+        locked(&buffers).push(found);
+        taken
+    });
+    let buffers = buffers.into_inner().unwrap_or_else(PoisonError::into_inner);
+    settle(outcome, buffers, sink)?;
+    let mut counts = Counts::default();
+    let deciders = deciders.into_inner().unwrap_or_else(PoisonError::into_inner);
+    deciders.iter().for_each(|decider| counts.add(&decider.counts()));
     Ok(counts)
+}
+
+/// Takes what is left in the buffers when the deciding is over, for whatever reason.
+fn settle(
+    outcome: Result<(), VisibilityError>,
+    mut buffers: Vec<Found>,
+    sink: &Sink,
+) -> Result<(), VisibilityError> {
+    let is_kept = match &outcome {
+        Ok(()) => sink.lock().journal.is_begun(),
+        // What failed was the disk.
+        Err(VisibilityError::Store(e)) => matches!(e, StoreError::Interrupted),
+        Err(_) => true,
+    };
+    if outcome.is_ok() || is_kept {
+        buffers.iter_mut().try_for_each(|found| sink.take(found))?;
+    }
+    if is_kept {
+        // A build that wrote anything keeps all of it: merging can be interrupted too.
+        sink.commit_all()?;
+    }
+    match outcome {
+        Err(VisibilityError::Store(StoreError::Interrupted)) => {
+            let kept = sink.lock();
+            Err(kept.journal.stopped(kept.statuses.iter().flatten().count() as u64))
+        }
+        outcome => outcome,
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn message_of(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+    text.unwrap_or("a task panicked").to_owned()
+}
+
+/// Says what a build is, by which a later one knows whether to go on with it.
+fn plan_of(input: &MapInput<'_>, config: &str) -> SavedPlan {
+    SavedPlan {
+        tool: env!("CARGO_PKG_VERSION").to_owned(),
+        digest: input.digest,
+        config: config.to_owned(),
+        n_nodes: input.tree.nodes.len() as u64,
+        n_surfels: input.tree.surfels.len() as u64,
+        target: 0,
+        n_tasks: 0,
+        tasks_digest: 0,
+    }
+}
+
+/// What a map has at the least: how many links there will be nobody knows before (F21).
+fn least_output_bytes(input: &MapInput<'_>) -> u64 {
+    let (nodes, surfels) = (input.tree.nodes.len(), input.tree.surfels.len());
+    head_bytes(SECTIONS.len()) + (nodes * Node::BYTES + surfels * Surfel::BYTES) as u64
 }
 
 /// How the memory is shared that the tree leaves: a quarter is for the plan, half for the buffers
@@ -182,31 +311,14 @@ impl Shares {
         let plan = PlanLimits { task_links: buffer_links / 2, memory_bytes: spare_bytes / 4 };
         Shares { plan, runs_bytes: spare_bytes / 8 }
     }
-}
 
-/// Where links go until they are written: sorted runs, in memory or on disk.
-#[derive(Debug)]
-struct LinkSink {
-    runs: Mutex<Runs>,
-    /// Links a thread keeps before it sorts them and puts them away.
-    full_links: usize,
-}
-
-impl LinkSink {
-    fn new(options: &BuildOptions, shares: &Shares) -> LinkSink {
-        let runs = Runs::new(folder_of(&options.output), shares.runs_bytes);
-        LinkSink { runs: Mutex::new(runs), full_links: shares.plan.task_links as usize }
-    }
-
-    fn put_when_full(&self, links: &mut Vec<Pair>) -> Result<(), StoreError> {
-        if links.len() >= self.full_links { self.put(links) } else { Ok(()) }
-    }
-
-    fn put(&self, links: &mut Vec<Pair>) -> Result<(), StoreError> {
-        links.sort_unstable();
-        self.runs.lock().unwrap_or_else(PoisonError::into_inner).push(links)?;
-        links.clear();
-        Ok(())
+    /// Makes sure that the buffers hold what tasks of at most so many leaf pairs may find.
+    fn require_tasks(&self, target: u64) -> Result<u64, StoreError> {
+        let need_links = 2 * target * rayon::current_num_threads() as u64;
+        let have_links = self.plan.task_links.max(1) * 2 * rayon::current_num_threads() as u64;
+        let bytes = |n_links: u64| 2 * BUFFER_COST_BYTES * n_links;
+        require("the tasks of the build to go on with", bytes(need_links), bytes(have_links))?;
+        Ok(target)
     }
 }
 
@@ -225,20 +337,20 @@ fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
 
 /// Writes the map from the tree and the spilled links.
 fn write(
-    mut file: SectionFile,
     input: &MapInput<'_>,
-    options: &BuildOptions,
-    interaction: Option<&[Pair]>,
-    links: LinkSink,
+    config: &str,
+    kept: Kept,
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
+    let Kept { runs, journal, .. } = kept;
+    let head_bytes = head_bytes(SECTIONS.len());
+    let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes)?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
-    let config = file.whole(config_of(options, interaction).as_bytes())?;
+    let config = file.whole(config.as_bytes())?;
     let nodes = write_records(&mut file, &tree.nodes)?;
     let surfels = write_records(&mut file, &tree.surfels)?;
-    let runs = links.runs.into_inner().unwrap_or_else(PoisonError::into_inner);
     let written = write_links(&mut file, tree, runs, watch)?;
     let index = write_records(&mut file, &written.index)?;
     let frame = file.whole(&input.frame.to_bytes())?;
@@ -264,6 +376,7 @@ fn write(
         FrameRecord::BYTES,
         0,
     ];
+    sections.iter().try_for_each(|section| file.check(section))?;
     let table: Vec<Written> = sections
         .into_iter()
         .zip(SECTIONS.into_iter().zip(sizes))
@@ -278,9 +391,18 @@ fn write(
     let closing = close_map(&table);
     let output_bytes = closing.sums_offset_bytes + closing.sums.len() as u64;
     watch.check()?;
-    file.finish(&closing.head, &closing.sums, closing.sums_offset_bytes)?;
-    let (n_tasks, counts) = (0, Counts::default());
-    Ok(BuildReport { summary, output_bytes, link_bytes, temporary_bytes, n_tasks, counts })
+    let file = file.close(&closing.head, &closing.sums, closing.sums_offset_bytes)?;
+    journal.finish(|| file.publish())?;
+    let (n_tasks, n_tasks_resumed, counts) = (0, 0, Counts::default());
+    Ok(BuildReport {
+        summary,
+        output_bytes,
+        link_bytes,
+        temporary_bytes,
+        n_tasks,
+        n_tasks_resumed,
+        counts,
+    })
 }
 
 /// Writes fixed records without holding all their bytes.

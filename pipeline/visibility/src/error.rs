@@ -1,5 +1,7 @@
 //! What can go wrong while a map is built.
 
+use std::path::PathBuf;
+
 use pvmap_store::StoreError;
 
 /// A failure of the visibility stage.
@@ -11,6 +13,37 @@ pub enum VisibilityError {
     /// zstd could not compress a block of links.
     #[error("compressing links failed: {0}")]
     Compress(#[source] std::io::Error),
+    /// A build that was begun is not the one that was asked for.
+    #[error(
+        "{}: an unfinished build has another {field} ({before}) than this one ({now}); \
+         finish it as it was begun, or discard it with --restart", folder.display()
+    )]
+    Differs {
+        /// Its work folder.
+        folder: PathBuf,
+        /// What differs.
+        field: String,
+        /// As the build was begun.
+        before: String,
+        /// As it was asked for now.
+        now: String,
+    },
+    /// The run was asked to stop, and what it had done by then is kept.
+    #[error(
+        "interrupted; {n_done} of {n_tasks} tasks are kept in {}: the same command goes on from \
+         there", folder.display()
+    )]
+    Stopped {
+        /// The work folder.
+        folder: PathBuf,
+        /// Tasks that are done.
+        n_done: u64,
+        /// Tasks in all.
+        n_tasks: u64,
+    },
+    /// A task panicked, which is a bug; what was done by then is kept.
+    #[error("a bug: {0}")]
+    Panicked(String),
     /// Given interaction pairs break a rule.
     #[error("interaction pairs {rows:?}: {fault}")]
     Interaction {

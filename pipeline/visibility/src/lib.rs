@@ -6,7 +6,8 @@
 //! whole pairs: facing intervals ([`bounds`]) and shrinking lists of candidate occluders
 //! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`block`]): first by sheets
 //! of surfels as wholes ([`sheets`], [`screen`]), then disc by disc ([`kernel`], [`packets`]),
-//! exactly. The room never asks how the tree came about and never approximates.
+//! exactly. What is done is noted in a [`journal`], and a build that ended before its time is taken
+//! up where it ended. The room never asks how the tree came about and never approximates.
 //!
 //! Start reading at [`build::build`], then [`pairs`].
 
@@ -17,6 +18,7 @@ pub mod candidates;
 pub mod ends;
 pub mod error;
 pub mod interaction;
+pub mod journal;
 pub mod kernel;
 mod lanes;
 pub mod packets;
@@ -24,8 +26,9 @@ pub mod pairs;
 mod pierce;
 pub mod screen;
 pub mod sheets;
+mod sink;
 mod surface;
 pub mod tasks;
 
-pub use build::{BuildOptions, BuildReport, MapInput, build};
+pub use build::{BuildOptions, BuildReport, MapInput, build, open_work};
 pub use error::VisibilityError;

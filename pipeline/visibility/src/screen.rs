@@ -12,9 +12,9 @@
 //!   (ε + sag)·(t1 - t0)/|F(t0) - F(t1)|, and x is off the place of t* by at most τ·|d_u| along
 //!   u, τ·|d_v| along v. **Left alone** if the raster says that no surfel can block so near.
 //! - **Blocked** if the raster says that around the place of t* all within that distance lies on
-//!   one surfel, and the chord reaches ε + sag on both sides: from t* - τ to t* + τ the segment goes
-//!   from over ε to under -ε or back, and so crosses the plane of that surfel, which over these
-//!   (u, v) is within ε of the surface, between the ends and outside the spared radii. That
+//!   one surfel, and the chord reaches ε + sag on both sides: from t* - τ to t* + τ the segment
+//!   goes from over ε to under -ε or back, and so crosses the plane of that surfel, which over
+//!   these (u, v) is within ε of the surface, between the ends and outside the spared radii. That
 //!   surfel is neither end: an end's own disc lies within its spared radius, and for profile
 //!   `paper` its plane meets the segment at t = 0 only, where F would have to be beyond ε.
 //! - What is left is tried with the surfel that the raster names.

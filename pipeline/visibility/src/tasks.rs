@@ -19,9 +19,10 @@ const MIN_TASK_PAIRS: u64 = 4096;
 /// A task has at most so many leaf pairs: some 0.1 s, between two looks at whether to stop.
 const MAX_TASK_PAIRS: u64 = 1 << 20;
 
-/// Bytes for each planned pair: itself, a task, their statuses, and the links above the tasks,
-/// which are there twice while they grow.
-const PLANNED_BYTES: usize = size_of::<Planned>() + 3 * size_of::<Pair>() + 2 * size_of::<Status>();
+/// Bytes for each planned pair: itself, a task, its place in the list of what is still to do, their
+/// statuses, and the links above the tasks, which are there twice while they grow.
+const PLANNED_BYTES: usize =
+    size_of::<Planned>() + 3 * size_of::<Pair>() + size_of::<u32>() + 3 * size_of::<Status>();
 
 /// A pair of the plan.
 #[derive(Debug, Clone, Copy)]
@@ -58,6 +59,8 @@ pub struct Plan {
     planned: Vec<Planned>,
     /// The node pairs to decide, in the order of the plan.
     pub tasks: Vec<Pair>,
+    /// Leaf pairs that a task has at most.
+    pub target: u64,
 }
 
 impl Plan {
@@ -73,14 +76,38 @@ impl Plan {
         let total: u64 = starts.iter().map(|&(a, b)| n_leaf_pairs(scene, a, b)).sum();
         let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
         let target = (total / TASKS).max(MIN_TASK_PAIRS).min(most);
+        Plan::with_target(scene, starts, target, limits)
+    }
+
+    /// Does the same where it is known which pairs are small enough: those of at most `target` leaf
+    /// pairs.
+    ///
+    /// # Errors
+    /// Where the plan needs more memory than it may take.
+    pub fn with_target(
+        scene: &Scene<'_>,
+        starts: &[Pair],
+        target: u64,
+        limits: &PlanLimits,
+    ) -> Result<Plan, StoreError> {
         // Counted first, so that the plan has no spare room and is never there twice.
         let n_planned: usize = starts.iter().map(|&pair| count(scene, pair, target)).sum();
         let need_bytes = (n_planned * PLANNED_BYTES) as u64;
         require("the plan of a build", need_bytes, limits.memory_bytes)?;
         let (planned, tasks) = (Vec::with_capacity(n_planned), Vec::with_capacity(n_planned));
-        let mut plan = Plan { planned, tasks };
+        let mut plan = Plan { planned, tasks, target };
         starts.iter().for_each(|&pair| plan.cut(scene, pair, target));
         Ok(plan)
+    }
+
+    /// Gives a digest of the tasks, by which a resumed build knows that they are the same.
+    pub fn digest(&self) -> u64 {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        for &(a, b) in &self.tasks {
+            hasher.update(&a.to_le_bytes());
+            hasher.update(&b.to_le_bytes());
+        }
+        hasher.digest()
     }
 
     /// Plans a pair; recurses at most 24 deep.

@@ -1,0 +1,150 @@
+//! Where the links of tasks go until they are written: into buffers, one for each decider at work;
+//! from there as sorted runs into memory; and from there, with the tasks they belong to, to disk.
+//! The last happens when memory is full, when it was long ago, and when the run has to end.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use pvmap_store::StoreError;
+use pvmap_store::runs::{Pair, Runs};
+
+use crate::journal::Journal;
+use crate::pairs::Status;
+
+/// Tasks that wait for a commit, at most: so many take 2 MiB.
+const MAX_WAITING: usize = 1 << 18;
+
+/// The links of whole tasks, in no order, and which tasks those are.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    pub(crate) links: Vec<Pair>,
+    pub(crate) tasks: Vec<(u32, Status)>,
+    /// The commit up to which it was emptied.
+    epoch: u64,
+}
+
+/// What is decided by now.
+#[derive(Debug)]
+pub(crate) struct Kept {
+    /// Sorted runs of links.
+    pub(crate) runs: Runs,
+    /// The status of each task that is done.
+    pub(crate) statuses: Vec<Option<Status>>,
+    pub(crate) journal: Journal,
+    /// Tasks whose links are in `runs` but not committed.
+    waiting: Vec<(u32, Status)>,
+}
+
+impl Kept {
+    /// Makes durable all that came here so far, and `more`.
+    fn commit(&mut self, more: &[Pair]) -> Result<(), StoreError> {
+        self.journal.commit(&mut self.runs, more, &mut self.waiting)
+    }
+}
+
+/// Collects what deciders find.
+#[derive(Debug)]
+pub(crate) struct Sink {
+    kept: Mutex<Kept>,
+    /// Links a buffer keeps before it is sorted and put away.
+    full_links: usize,
+    checkpoint: Duration,
+    started: Instant,
+    /// When the next commit is due: nanoseconds from the start.
+    due: AtomicU64,
+    /// Commits so far: a buffer that was not emptied since the last is emptied for the next.
+    epoch: AtomicU64,
+}
+
+impl Sink {
+    pub(crate) fn new(
+        runs: Runs,
+        statuses: Vec<Option<Status>>,
+        journal: Journal,
+        full_links: usize,
+        checkpoint: Duration,
+    ) -> Sink {
+        let sink = Sink {
+            kept: Mutex::new(Kept { runs, statuses, journal, waiting: Vec::new() }),
+            full_links,
+            checkpoint,
+            started: Instant::now(),
+            due: AtomicU64::new(0),
+            epoch: AtomicU64::new(0),
+        };
+        sink.set_due();
+        sink
+    }
+
+    /// Takes what a decider found so far where that is much, or a commit is due. A task is done.
+    pub(crate) fn take_when_due(&self, found: &mut Found) -> Result<(), StoreError> {
+        if self.is_due() {
+            found.links.sort_unstable();
+            let mut kept = self.lock();
+            // Another thread may have been quicker.
+            let is_due = self.is_due();
+            self.put(&mut kept, found)?;
+            return if is_due { self.commit(&mut kept) } else { Ok(()) };
+        }
+        let is_full = found.links.len() >= self.full_links || found.tasks.len() >= MAX_WAITING;
+        if is_full || found.epoch != self.epoch.load(Ordering::Relaxed) {
+            self.take(found)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Takes what a decider found.
+    pub(crate) fn take(&self, found: &mut Found) -> Result<(), StoreError> {
+        found.links.sort_unstable();
+        self.put(&mut self.lock(), found)
+    }
+
+    /// Makes durable what was taken.
+    pub(crate) fn commit_all(&self) -> Result<(), StoreError> {
+        self.commit(&mut self.lock())
+    }
+
+    /// Gives what is decided by now.
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Kept> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn into_kept(self) -> Kept {
+        self.kept.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Puts sorted links away.
+    fn put(&self, kept: &mut Kept, found: &mut Found) -> Result<(), StoreError> {
+        for &(task, status) in &found.tasks {
+            kept.statuses[task as usize] = Some(status);
+        }
+        kept.waiting.append(&mut found.tasks);
+        if kept.runs.has_room_for(&found.links) {
+            kept.runs.push(&found.links)?;
+        } else {
+            kept.commit(&found.links)?;
+            self.set_due();
+        }
+        found.links.clear();
+        found.epoch = self.epoch.load(Ordering::Relaxed);
+        if kept.waiting.len() >= MAX_WAITING { self.commit(kept) } else { Ok(()) }
+    }
+
+    fn commit(&self, kept: &mut Kept) -> Result<(), StoreError> {
+        kept.commit(&[])?;
+        self.epoch.fetch_add(1, Ordering::Relaxed);
+        self.set_due();
+        Ok(())
+    }
+
+    fn is_due(&self) -> bool {
+        self.started.elapsed().as_nanos() >= u128::from(self.due.load(Ordering::Relaxed))
+    }
+
+    fn set_due(&self) {
+        let due = self.started.elapsed().saturating_add(self.checkpoint).as_nanos();
+        self.due.store(u64::try_from(due).unwrap_or(u64::MAX), Ordering::Relaxed);
+    }
+}
