@@ -56,6 +56,7 @@ pub use pvmap_octree::ingest::{NormalsFrom, Orientation};
 pub use pvmap_query as query;
 pub use pvmap_scan as scan;
 pub use pvmap_scene as scene;
+pub use pvmap_store::map::exit_on_lost_pages;
 pub use pvmap_store::output::{TableFile, folder_of};
 pub use pvmap_store::{Mapped, Quiet, StoreError, Watch, memory};
 pub use pvmap_visibility::VisibilityError;

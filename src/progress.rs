@@ -139,7 +139,7 @@ impl Progress {
             stage: Mutex::new(None),
             finished: Mutex::default(),
         });
-        let ticker = std::thread::spawn({
+        let tick = {
             let shared = shared.clone();
             move || {
                 while !shared.quit.load(Ordering::Relaxed) {
@@ -147,8 +147,10 @@ impl Progress {
                     std::thread::sleep(TICK);
                 }
             }
-        });
-        Progress { shared, ticker: Some(ticker) }
+        };
+        // Where there is no thread for it (F72), the run goes on without: only ends are told then.
+        let ticker = std::thread::Builder::new().spawn(tick).ok();
+        Progress { shared, ticker }
     }
 
     /// Ends the stage at hand and gives all stages so far, forgetting them.

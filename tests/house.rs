@@ -72,9 +72,9 @@ fn every_row_of_the_catalogue_of_faults_has_a_named_test() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let names = [test_names(&root.join("tests")), test_names(&root.join("pipeline/scan/tests"))];
     let names = names.concat();
-    // Damaged and hostile artifacts, broken and hostile scans, outputs; the rest waits for resume.
-    for row in [32, 33].into_iter().chain(42..=50).chain(52..=69) {
-        let number = format!("f{row}_");
+    // Why two have none stands in pipeline/README.md.
+    for row in (1..=72).filter(|row| ![14, 41].contains(row)) {
+        let number = format!("f{row:02}_");
         assert!(names.iter().any(|name| name.starts_with(&number)), "no test of row F{row}");
     }
 }

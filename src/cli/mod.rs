@@ -153,8 +153,13 @@ fn run(command: Command, context: &Context) -> Outcome {
 /// Stops at the first SIGINT, SIGTERM or SIGHUP with everything tidy, at the second at once. A
 /// terminal that closes (SIGHUP) stops nothing that was started with `nohup`.
 fn listen(signal: &Arc<AtomicUsize>, at_once: bool) -> io::Result<()> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::flag;
+    // A file that may not grow is an error of the call that writes it (F27).
+    flag::register(SIGXFSZ, Arc::default())?;
+    // What std ends the process for, after a line about it: no memory is left (F72), or a bug.
+    flag::register_conditional_shutdown(SIGABRT, 70, Arc::new(AtomicBool::new(true)))?;
+    pvmap::exit_on_lost_pages(74)?;
     let asked = Arc::new(AtomicBool::new(at_once));
     for name in [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&s| !is_ignored(s)) {
         flag::register_conditional_shutdown(name, 128 + name, asked.clone())?;

@@ -11,6 +11,10 @@ use super::{Bench, Run};
 /// Builds the map of [`tiny`]'s or [`small`]'s scan.
 pub const BUILD: &str = "build a.octree --leaf-capacity 10 --threads 2 --progress off";
 
+/// The same on one thread, with a commit for each task: its calls come in one order.
+pub const EACH: &str =
+    "build a.octree --leaf-capacity 10 --threads 1 --checkpoint 0 --progress off";
+
 /// Calls that change what is on a disk.
 pub const WRITE_LIKE: [&str; 12] = [
     "write",
@@ -48,7 +52,7 @@ pub fn tiny() -> Bench {
 
 /// A build of some hundreds of tasks.
 pub fn small() -> Bench {
-    octree_of(20_000)
+    octree_of(3_000)
 }
 
 /// A build that takes at least some seconds: points amid the air see each other nearly all.
@@ -114,12 +118,48 @@ pub fn behind(bench: &Bench, tool: &[&str], line: &str) -> Command {
     command
 }
 
-/// Runs the command with faults in its system calls: `write:error=EIO:when=3`.
-pub fn inject(bench: &Bench, fault: &str, line: &str) -> Run {
-    let names = fault.split(':').next().unwrap();
-    let (trace, inject) = (format!("trace={names}"), format!("inject={fault}"));
-    let tool = ["strace", "-f", "-qq", "-o", "/dev/null", "-e", &trace, "-e", &inject];
+/// Runs the command with faults in its system calls, several between spaces:
+/// `write:error=EIO:when=3`.
+pub fn inject(bench: &Bench, faults: &str, line: &str) -> Run {
+    let names: Vec<&str> = faults.split(' ').map(|f| f.split(':').next().unwrap()).collect();
+    let mut tool = vec!["strace", "-f", "-qq", "-o", "/dev/null", "-e"];
+    let trace = format!("trace={}", names.join(","));
+    let injected: Vec<String> = faults.split(' ').map(|f| format!("inject={f}")).collect();
+    tool.push(&trace);
+    injected.iter().for_each(|fault| tool.extend(["-e", fault]));
     Run::of(behind(bench, &tool, line))
+}
+
+/// Runs a script in a small file system of its own, named `m`, that is gone afterwards. `PVMAP` is
+/// the command.
+pub fn in_tmpfs(bench: &Bench, options: &str, script: &str) -> Run {
+    std::fs::create_dir_all(bench.path("m")).unwrap();
+    let script = format!("mount -t tmpfs -o {options} none m && {script}");
+    let mut command = Command::new("unshare");
+    command.args(unshare()).args(["sh", "-c", &script]).stdin(Stdio::null());
+    command.current_dir(bench.path("")).env("PVMAP", env!("CARGO_BIN_EXE_pvmap"));
+    let run = Run::of(command);
+    std::fs::remove_dir(bench.path("m")).unwrap();
+    run
+}
+
+/// Says whether file systems can be mounted here.
+pub fn has_tmpfs(test: &str) -> bool {
+    let mut tool = vec!["unshare"];
+    tool.extend(unshare());
+    tool.extend(["sh", "-c", "mount -t tmpfs none /tmp"]);
+    has(test, &tool)
+}
+
+/// Roots mount in a namespace of their own; others become root in one of theirs.
+fn unshare() -> &'static [&'static str] {
+    if is_root() { &["-m"] } else { &["-Urm"] }
+}
+
+pub fn is_root() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("Uid:"));
+    line.is_some_and(|l| l.split_whitespace().nth(1) == Some("0"))
 }
 
 /// Counts the calls of a run that write: by name, most in a thread, as strace counts them.
@@ -200,8 +240,10 @@ pub fn killed_after(bench: &Bench, n_files: usize) {
     assert!(bench.path("a.vmap.build").is_dir());
 }
 
-/// Copies a folder of files.
+/// Copies a folder of files, in place of what was there.
 pub fn copy_folder(from: &Path, to: &Path) {
+    // Where there was nothing there is nothing to remove.
+    let _ = std::fs::remove_dir_all(to);
     std::fs::create_dir_all(to).unwrap();
     for name in names_in(from) {
         std::fs::copy(from.join(&name), to.join(&name)).unwrap();

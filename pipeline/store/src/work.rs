@@ -23,6 +23,7 @@ pub struct WorkFolder {
     output: PathBuf,
     /// `output`, or what it links to.
     target: PathBuf,
+    is_own: fn(&str) -> bool,
     is_kept: bool,
     lock: Lock,
 }
@@ -48,7 +49,7 @@ impl WorkFolder {
             if let Some(lock) = Lock::take(&folder, output)? {
                 let is_kept = holds_more_than_a_lock(&folder);
                 let output = output.to_path_buf();
-                return Ok(WorkFolder { folder, output, target, is_kept, lock });
+                return Ok(WorkFolder { folder, output, target, is_own, is_kept, lock });
             }
         }
     }
@@ -120,7 +121,7 @@ impl WorkFolder {
         sync_folder(folder_of(&self.folder))
     }
 
-    /// Removes the files of which `is_of_no_use` says so; the lock stays.
+    /// Removes those files of a run of which `is_of_no_use` says so; the lock stays.
     ///
     /// # Errors
     /// Where the disk fails.
@@ -128,7 +129,8 @@ impl WorkFolder {
         let fail = |e| StoreError::own(&self.folder, "clear", e);
         for entry in std::fs::read_dir(&self.folder).map_err(fail)? {
             let name = entry.map_err(fail)?.file_name();
-            if !is_lock(&name) && name.to_str().is_some_and(&is_of_no_use) {
+            let is_ours = |name: &str| is_ours(name, self.is_own);
+            if name.to_str().is_some_and(|name| is_ours(name) && is_of_no_use(name)) {
                 std::fs::remove_file(self.folder.join(name)).map_err(fail)?;
             }
         }
@@ -164,13 +166,17 @@ fn check(output: &Path, folder: &Path, is_own: fn(&str) -> bool) -> Result<(), S
     }
     for entry in std::fs::read_dir(folder).into_iter().flatten() {
         let name = entry.map_err(fail)?.file_name();
-        // The last are nameless files, where the system knows none, between two calls.
-        let is_ours = |n: &str| is_own(n) || n.starts_with(".tmp");
-        if !is_lock(&name) && !name.to_str().is_some_and(is_ours) {
+        if !is_lock(&name) && !name.to_str().is_some_and(|n| is_ours(n, is_own)) {
             return refused("holds things that are not of a build; move it away");
         }
     }
     Ok(())
+}
+
+/// Says whether a run made a file, the lock aside.
+fn is_ours(name: &str, is_own: fn(&str) -> bool) -> bool {
+    // The latter are nameless files, where the system knows none, between two calls.
+    is_own(name) || name.starts_with(".tmp")
 }
 
 fn is_lock(name: &OsStr) -> bool {

@@ -358,6 +358,8 @@ impl Journal {
         publish: impl FnOnce() -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
         if let Some(log) = &mut self.log {
+            // Its name first: without it the record would say that it was published.
+            self.work.sync()?;
             log.append(&encoded(&Record::Assembled))?;
         }
         publish()?;
