@@ -295,6 +295,15 @@ mod tests {
     }
 
     #[test]
+    fn every_file_of_configs_is_a_configuration() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        for file in files {
+            RawConfig::find(&file).and_then(RawConfig::check).unwrap();
+        }
+    }
+
+    #[test]
     fn an_unknown_key_is_shown_with_its_line() {
         let message = parse("x.toml", "max_level = 8\nray = 3\n").unwrap_err().to_string();
         assert!(message.contains("line 2, column 1") && message.contains("`ray`"), "{message}");
