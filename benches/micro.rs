@@ -134,10 +134,10 @@ fn compare(n_rounds: usize) {
         times[times.len() / 2]
     });
     let counts = blocks.counts();
-    let exact = 100.0 * counts.n_exact as f64 / (16 * counts.n_tests).max(1) as f64;
+    let exact = 100.0 * counts.n_exact as f64 / counts.n_tests.max(1) as f64;
     println!("\nfiltered kernel over plain floats, medians of {n_rounds}:");
     println!("  whole blocks                {:.2}", filtered / plain);
     println!("  less facing and candidates  {:.2}", (filtered - common) / (plain - common));
-    println!("  settled by integers         {exact:.4} % of segment tests");
+    println!("  settled by integers         {exact:.4} % of tests");
     println!("  visible pairs               {n_filtered} (plain floats say {n_plain})");
 }

@@ -3,7 +3,7 @@
 //! Four generated scenes at several sizes, built as `configs/nightly.toml` says, each build in a
 //! process of its own, so that its peak of memory is its own. A row a build: points, leaves, leaf
 //! pairs, links, bytes, seconds (median of three where that is quick), peak memory, temporary
-//! bytes, the share of segment tests that went to integers, and instructions where asked for.
+//! bytes, segments settled by integers over tests, and instructions where asked for.
 //! Below it the exponents with which seconds, instructions, links and memory grow with the leaves.
 //! All of it goes to a folder as CSV, text and an SVG plot. With `--against` an earlier CSV,
 //! 15 % more instructions or a 15 % larger exponent of instructions, links or memory end the run
@@ -59,8 +59,8 @@ struct Args {
     /// Of empty, furnished, packed, cave
     #[arg(long, value_delimiter = ',', default_value = "empty,furnished,packed,cave")]
     scenes: Vec<SceneKind>,
-    /// Count instructions, too, of builds up to that size; needs valgrind, and some 100 times as
-    /// long
+    /// Count instructions, too, of builds up to that size; needs valgrind, and some thirty
+    /// times as long
     #[arg(long, value_name = "SIZE", num_args = 0..=1, default_missing_value = "3000")]
     instructions: Option<u64>,
     /// The scaling.csv of an earlier run, to be no worse than

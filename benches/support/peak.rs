@@ -1,6 +1,7 @@
 //! The most memory a job holds.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 use pvmap::memory;
@@ -11,18 +12,19 @@ const TICK: Duration = Duration::from_millis(1);
 /// Runs a job while another thread looks at the anonymous memory of this process; gives the most
 /// seen.
 pub(crate) fn peak_bytes_of<T>(job: impl FnOnce() -> T) -> (T, u64) {
-    let (is_done, peak_bytes) = (AtomicBool::new(false), AtomicU64::new(0));
-    let look = || peak_bytes.fetch_max(memory::rss_anon_bytes().unwrap_or(0), Ordering::Relaxed);
+    let peak_bytes = AtomicU64::new(0);
+    let look = &|| peak_bytes.fetch_max(memory::rss_anon_bytes().unwrap_or(0), Ordering::Relaxed);
+    // Also a job that panics drops `running`, and the other thread ends.
+    let (running, ended) = channel::<()>();
     let done = std::thread::scope(|scope| {
-        scope.spawn(|| {
-            while !is_done.load(Ordering::Relaxed) {
+        let _running = running;
+        scope.spawn(move || {
+            while ended.recv_timeout(TICK) == Err(RecvTimeoutError::Timeout) {
                 look();
-                std::thread::sleep(TICK);
             }
         });
         let done = job();
         look();
-        is_done.store(true, Ordering::Relaxed);
         done
     });
     (done, peak_bytes.into_inner())

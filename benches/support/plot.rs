@@ -187,13 +187,12 @@ fn mark(svg: &mut String, [x, y]: [f64; 2], color: &str, shape: usize) {
 
 /// Writes a scene's name and how its figure grows beside its mark; gives the width of it all.
 fn key(svg: &mut String, [x, y]: [f64; 2], scene: &str, growth: Option<&Growth>) -> f64 {
+    let power = growth.map_or(String::new(), |Growth { exponent, .. }| {
+        format!("<tspan dx=\"5\">N</tspan><tspan dy=\"-5\" font-size=\"10\">{exponent:.2}</tspan>")
+    });
+    text(svg, [x + 10.0, y + 4.0], "", "start", &format!("{scene}{power}"));
     // About as wide as the letters are.
-    let name_width = 7.2 * scene.chars().count() as f64 + 10.0;
-    text(svg, [x + 10.0, y + 4.0], "", "start", scene);
-    let Some(Growth { exponent, .. }) = growth else { return name_width + 24.0 };
-    let power = format!("N<tspan dy=\"-5\" font-size=\"10\">{exponent:.2}</tspan>");
-    text(svg, [x + name_width + 6.0, y + 4.0], "", "start", &power);
-    name_width + 62.0
+    6.6 * scene.chars().count() as f64 + if power.is_empty() { 36.0 } else { 76.0 }
 }
 
 fn stroke(svg: &mut String, class: &str, [x0, y0]: [f64; 2], [x1, y1]: [f64; 2]) {
