@@ -84,7 +84,7 @@ impl<'a> Blocks<'a> {
             if decider.decide(a, b, &mut links) == Status::Visible {
                 links.push((a, b));
             }
-            self.counts.add(&decider.counts);
+            self.counts.add(&decider.counts());
             n_visible +=
                 links.iter().map(|&(a, b)| self.n_leaves(a) * self.n_leaves(b)).sum::<u64>();
         }

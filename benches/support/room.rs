@@ -10,6 +10,7 @@ use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 use pvmap_visibility::bounds::{self, Bounds};
 use pvmap_visibility::candidates::{self, Family};
 use pvmap_visibility::pairs;
+use pvmap_visibility::sheets::Sheets;
 
 const N_POINTS: u64 = 60_000;
 pub(crate) const PROFILE: Profile = Profile::Patch;
@@ -23,6 +24,8 @@ pub(crate) struct Room {
     pub(crate) discs: Vec<Disc>,
     pub(crate) bounds: Vec<Bounds>,
     pub(crate) families: Vec<Family>,
+    /// None: it is the kernel that is measured.
+    sheets: Sheets,
 }
 
 impl Room {
@@ -42,13 +45,14 @@ impl Room {
         let discs: Vec<Disc> =
             (0..tree.surfels.len() as u32).map(|s| tree.disc(s, PROFILE)).collect();
         let bounds = bounds::of_tree(&tree, &discs, PROFILE);
-        let families = candidates::families(&tree, &bounds);
-        Room { tree, discs, bounds, families }
+        let sheets = Sheets::default();
+        let families = candidates::families(&tree, &bounds, &sheets);
+        Room { tree, discs, bounds, families, sheets }
     }
 
     /// Gives it as deciders take it.
     pub(crate) fn scene(&self) -> pairs::Scene<'_> {
-        let Room { tree, discs, bounds, families } = self;
-        pairs::Scene { tree, discs, bounds, families, profile: PROFILE }
+        let Room { tree, discs, bounds, families, sheets } = self;
+        pairs::Scene { tree, discs, bounds, families, sheets, profile: PROFILE }
     }
 }

@@ -82,7 +82,7 @@ pub(crate) struct Plates {
     pub(crate) high: [[f32; MAX_SURFELS]; 3],
 }
 
-/// All sheets of a tree.
+/// All sheets of a tree; by default there are none.
 #[derive(Debug, Default)]
 pub struct Sheets {
     /// The sheet of each family, or [`NO_SHEET`].
@@ -120,7 +120,8 @@ impl Sheets {
 
     /// Gives the sheet of a family.
     pub fn of_family(&self, family: u32) -> Option<&Sheet> {
-        self.sheets.get(self.of_family[family as usize] as usize)
+        let sheet = self.of_family.get(family as usize)?;
+        self.sheets.get(*sheet as usize)
     }
 }
 
