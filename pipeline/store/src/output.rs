@@ -356,7 +356,7 @@ pub fn folder_of(path: &Path) -> &Path {
 pub fn sync_folder(folder: &Path) -> Result<(), StoreError> {
     File::open(folder)
         .and_then(|f| f.sync_all())
-        .map_err(|e| StoreError::io(folder, "sync the folder", e))
+        .map_err(|e| StoreError::own(folder, "sync the folder", e))
 }
 
 /// Finds where a file goes: nothing is there, or a file that it replaces. Links are followed.

@@ -175,7 +175,7 @@ impl Shelf {
         }
         let offset_bytes = self.file_bytes.get();
         let written = self.file()?.write_all_at(bytes, offset_bytes);
-        written.map_err(|e| StoreError::io(&self.folder, "write a temporary file in", e))?;
+        written.map_err(|e| StoreError::own(&self.folder, "write a temporary file in", e))?;
         self.file_bytes.set(offset_bytes + bytes.len() as u64);
         let (len_bytes, crc) = (bytes.len(), crc32fast::hash(bytes));
         Ok(Piece::OnDisk(Extent { file: None, offset_bytes, len_bytes, crc }))
@@ -221,7 +221,7 @@ impl Shelf {
             return Ok(file);
         }
         let made = tempfile::tempfile_in(&self.folder)
-            .map_err(|e| StoreError::io(&self.folder, "make a temporary file in", e))?;
+            .map_err(|e| StoreError::own(&self.folder, "make a temporary file in", e))?;
         Ok(self.file.get_or_init(|| made))
     }
 }

@@ -76,7 +76,7 @@ impl Spill {
             let offset_bytes = self.file_bytes.fetch_add(len, Ordering::Relaxed);
             self.file()?
                 .write_all_at(bytes, offset_bytes)
-                .map_err(|e| StoreError::io(&self.folder, "write a temporary file in", e))?;
+                .map_err(|e| StoreError::own(&self.folder, "write a temporary file in", e))?;
             Extent::OnDisk { offset_bytes, len_bytes: bytes.len() }
         };
         let mut bucket = self.lock(bucket);
@@ -164,7 +164,7 @@ impl Spill {
     fn read(&self, buffer: &mut [u8], offset_bytes: u64) -> Result<(), StoreError> {
         self.file()?
             .read_exact_at(buffer, offset_bytes)
-            .map_err(|e| StoreError::io(&self.folder, "read a temporary file in", e))
+            .map_err(|e| StoreError::own(&self.folder, "read a temporary file in", e))
     }
 
     fn file(&self) -> Result<&File, StoreError> {

@@ -147,6 +147,13 @@ fn ask(
     rows.load(sheet, block[0]);
     columns.load(sheet, block[1]);
     for g in 0..open.len().div_ceil(GROUP) {
+        let mut any = 0;
+        for row in g * GROUP..open.len().min((g + 1) * GROUP) {
+            any |= open[row];
+        }
+        if any == 0 {
+            continue;
+        }
         let near = near_groups(sheet, detail, (rows, g), columns);
         for h in bits((near & u32::MAX >> (32 - block[1].len().div_ceil(GROUP))).into()) {
             let mut asked = 0;
