@@ -186,7 +186,7 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
         out,
         "            {} sheets asked, {} blocked by them, {} left undecided,",
         si(c.n_sheets as f64),
-        si(c.n_guessed as f64),
+        si(c.n_by_sheets as f64),
         si(c.n_unsure as f64)
     )?;
     writeln!(

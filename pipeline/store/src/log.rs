@@ -25,6 +25,9 @@ const PREFIX_BYTES: usize = 8;
 pub struct Log {
     file: File,
     path: PathBuf,
+    n_dropped_bytes: u64,
+    /// Whether the last record may be there in part.
+    is_torn: bool,
 }
 
 impl Log {
@@ -36,7 +39,7 @@ impl Log {
         let fail = |e| StoreError::own(path, "start", e);
         let mut file = File::create(path).map_err(fail)?;
         file.write_all(head).map_err(fail)?;
-        Ok(Log { file, path: path.to_path_buf() })
+        Ok(Log { file, path: path.to_path_buf(), n_dropped_bytes: 0, is_torn: false })
     }
 
     /// Opens a log for more records; gives `each` the payload of those it has, until one is broken
@@ -72,21 +75,33 @@ impl Log {
         if good_bytes < n_bytes {
             file.set_len(good_bytes).map_err(|e| StoreError::own(path, "shorten", e))?;
         }
-        Ok(Some(Log { file, path: path.to_path_buf() }))
+        let n_dropped_bytes = n_bytes - good_bytes;
+        Ok(Some(Log { file, path: path.to_path_buf(), n_dropped_bytes, is_torn: false }))
+    }
+
+    /// Gives how many bytes at the end were cut off when it was opened.
+    pub fn n_dropped_bytes(&self) -> u64 {
+        self.n_dropped_bytes
     }
 
     /// Appends a record and makes it durable.
     ///
     /// # Errors
-    /// Where the disk fails or is full; the record may be there then, whole or in part.
+    /// Where the disk fails or is full; the record may be there then, whole or in part. After it
+    /// nothing would be found, so nothing is appended any more.
     pub fn append(&mut self, payload: &[u8]) -> Result<(), StoreError> {
         assert!(payload.len() <= MAX_RECORD_BYTES, "records are kept short");
         let len = (payload.len() as u32).to_le_bytes();
         let crc = crc_of(len, payload).to_le_bytes();
-        self.file
-            .write_all(&[&len, &crc, payload].concat())
-            .and_then(|()| self.file.sync_data())
-            .map_err(|e| StoreError::own(&self.path, "append to", e))
+        let fail = |e| StoreError::own(&self.path, "append to", e);
+        if self.is_torn {
+            return Err(fail(std::io::Error::other("an earlier record failed")));
+        }
+        self.is_torn = true;
+        self.file.write_all(&[&len, &crc, payload].concat()).map_err(fail)?;
+        self.file.sync_data().map_err(fail)?;
+        self.is_torn = false;
+        Ok(())
     }
 }
 

@@ -96,7 +96,7 @@ impl AtomicFile {
     /// # Errors
     /// Where the disk fails; then what was under the name before is still there.
     pub fn commit(self) -> Result<(), StoreError> {
-        self.close()?.publish()
+        self.close()?.publish(false)
     }
 
     /// Makes the file durable under the name it has until it is published.
@@ -124,11 +124,16 @@ impl ClosedFile {
     /// Gives the file its final name, replacing what was there.
     ///
     /// # Errors
-    /// Where the disk fails; then what was under the name before is still there.
-    pub fn publish(self) -> Result<(), StoreError> {
-        self.temp
-            .persist(&self.target)
-            .map_err(|e| StoreError::own(&self.path, "rename", e.error))?;
+    /// Where the disk fails; then what was under the name before is still there, and the file
+    /// stays if it `is_kept`.
+    pub fn publish(self, is_kept: bool) -> Result<(), StoreError> {
+        if let Err(e) = self.temp.persist(&self.target) {
+            if is_kept {
+                // Where it cannot stay it is made again.
+                let _ = e.path.keep();
+            }
+            return Err(StoreError::own(&self.path, "rename", e.error));
+        }
         sync_folder(folder_of(&self.target))
     }
 }

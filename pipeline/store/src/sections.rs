@@ -177,7 +177,7 @@ impl SectionFile {
         tail: &[u8],
         tail_offset_bytes: u64,
     ) -> Result<(), StoreError> {
-        self.close(head, tail, tail_offset_bytes)?.publish()
+        self.close(head, tail, tail_offset_bytes)?.publish(false)
     }
 
     /// Writes the head and the last bytes of the file and makes it durable.

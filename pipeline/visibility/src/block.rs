@@ -155,7 +155,7 @@ impl<'a> BlockDecider<'a> {
             self.screen.ask(sheet, discs, profile, block, &mut self.open);
             let left = n_bits(&self.open);
             let closed = before - left;
-            self.counts.n_guessed += closed;
+            self.counts.n_by_sheets += closed;
             if closed > most {
                 (most, self.last_sheet) = (closed, family);
             }

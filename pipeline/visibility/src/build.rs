@@ -237,19 +237,27 @@ fn settle(
     mut buffers: Vec<Found>,
     sink: &Sink,
 ) -> Result<(), VisibilityError> {
+    if let Some(e) = sink.failure() {
+        return Err(e.into());
+    }
     let is_kept = match &outcome {
         Ok(()) => sink.lock().journal.is_begun(),
         // What failed was the disk.
         Err(VisibilityError::Store(e)) => matches!(e, StoreError::Interrupted),
         Err(_) => true,
     };
+    let mut settled = Ok(());
     if outcome.is_ok() || is_kept {
-        buffers.iter_mut().try_for_each(|found| sink.take(found))?;
+        settled = buffers.iter_mut().try_for_each(|found| sink.take(found));
     }
     if is_kept {
         // A build that wrote anything keeps all of it: merging can be interrupted too.
-        sink.commit_all()?;
+        settled = settled.and_then(|()| sink.commit_all());
     }
+    if let Some(e) = sink.failure() {
+        return Err(e.into());
+    }
+    settled?;
     match outcome {
         Err(VisibilityError::Store(StoreError::Interrupted)) => {
             let kept = sink.lock();
@@ -392,7 +400,7 @@ fn write(
     let output_bytes = closing.sums_offset_bytes + closing.sums.len() as u64;
     watch.check()?;
     let file = file.close(&closing.head, &closing.sums, closing.sums_offset_bytes)?;
-    journal.finish(|| file.publish())?;
+    journal.finish(|| file.publish(true))?;
     let (n_tasks, n_tasks_resumed, counts) = (0, 0, Counts::default());
     Ok(BuildReport {
         summary,

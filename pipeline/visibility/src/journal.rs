@@ -102,6 +102,12 @@ impl SavedPlan {
     }
 }
 
+/// Says whether a plan was written by a version that writes them in another way.
+fn is_of_other_format(bytes: &[u8]) -> bool {
+    const NAME: &[u8] = b"PVPLAN";
+    bytes.len() > PLAN_START.len() && bytes.starts_with(NAME) && !bytes.starts_with(&PLAN_START[..])
+}
+
 /// Names the first key in which two configurations differ.
 fn difference_of_configs(before: &str, now: &str) -> Option<(String, String, String)> {
     let value = |text: &str, key: &str| {
@@ -185,9 +191,15 @@ impl Begun {
         Ok(begun)
     }
 
-    fn read(work: &WorkFolder, watch: &dyn Watch) -> Result<Option<Begun>, StoreError> {
+    fn read(work: &WorkFolder, watch: &dyn Watch) -> Result<Option<Begun>, VisibilityError> {
         let Some(bytes) = work.read(PLAN, MAX_PLAN_BYTES)? else { return Ok(None) };
         let Some(plan) = SavedPlan::of_bytes(&bytes) else {
+            if is_of_other_format(&bytes) {
+                let (folder, field) = (work.path().to_path_buf(), "format of the plan".to_owned());
+                let [before, now] = [&bytes[..PLAN_START.len()], &PLAN_START[..]]
+                    .map(|start| start.escape_ascii().to_string());
+                return Err(VisibilityError::Differs { folder, field, before, now });
+            }
             let folder = work.path().display();
             watch.warn(&format!("{folder}: its plan is damaged; the build starts anew"));
             return Ok(None);
@@ -199,8 +211,17 @@ impl Begun {
             records.extend(record);
             is_good
         })?;
+        if let Some(n) = log.as_ref().map(Log::n_dropped_bytes).filter(|&n| n > 0) {
+            let journal = work.file(JOURNAL);
+            watch.warn(&format!(
+                "{}: broken in its last {n} bytes; the tasks noted there are decided again",
+                journal.display()
+            ));
+        }
         // The map got its name, and what is left was not removed any more.
-        let is_finished = records.last() == Some(&Record::Assembled) && !work.file(MAP).exists();
+        let is_finished = records.last() == Some(&Record::Assembled)
+            && !work.file(MAP).exists()
+            && work.target().exists();
         let is_of_use = !records.is_empty() && !is_finished;
         Ok(log.filter(|_| is_of_use).map(|log| Begun { plan, records, log }))
     }

@@ -66,8 +66,8 @@ pub struct Counts {
     pub n_remembered: u64,
     /// Sheets asked about a block.
     pub n_sheets: u64,
-    /// Segments blocked by the disc that a sheet named.
-    pub n_guessed: u64,
+    /// Segments that a sheet surely blocks.
+    pub n_by_sheets: u64,
     /// Segments that a sheet left undecided.
     pub n_unsure: u64,
     /// Discs loaded to test segments against.
@@ -86,7 +86,7 @@ impl Counts {
         self.n_segments += other.n_segments;
         self.n_remembered += other.n_remembered;
         self.n_sheets += other.n_sheets;
-        self.n_guessed += other.n_guessed;
+        self.n_by_sheets += other.n_by_sheets;
         self.n_unsure += other.n_unsure;
         self.n_loaded += other.n_loaded;
         self.n_tests += other.n_tests;

@@ -19,7 +19,7 @@
 //!   `paper` its plane meets the segment at t = 0 only, where F would have to be beyond ε.
 //! - What is left is tried with the surfel that the raster names.
 //!
-//! **The bound of f32.** Places are exact. A share t is off by less than 2^-21, so a place by less
+//! **The bound of f32.** Places are exact: boxes end on half steps below 2^22. A share t is off by less than 2^-21, so a place by less
 //! than `PLACE_SLACK` steps, by which boxes and distances are on the safe side. What heights are
 //! off by is part of a surface's `reach`. Comparisons of products carry
 //! factors of `OUTWARD`.
@@ -360,7 +360,8 @@ fn clip(sheet: &Sheet, segments: &Segments) -> Parts {
         let d = segments.way(k);
         let (f_a, r_a) = (segments.height_a[k], segments.spared_a[k]);
         let (f_b, r_b) = (segments.height_b[k], segments.spared_b[k]);
-        let per_length = 1.0 / (dot32(d, d).sqrt() * OUTWARD);
+        // Four roundings are less than 2^-22 of it.
+        let per_length = 1.0 / (dot32(d, d).sqrt() * (1.0 + 1.0 / (1u32 << 21) as f32));
         let (mut t0, mut t1) = (r_a * per_length, 1.0 - r_b * per_length);
         for i in 0..3 {
             // No end is on a face of the box: where d is 0 both are infinite, and none NaN.

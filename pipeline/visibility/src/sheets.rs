@@ -142,6 +142,10 @@ impl Sheet {
         }
         let low = [0, 1, 2].map(|i| (reach.min[axes[i]] - middle[i]) as f32 - BEYOND);
         let high = [0, 1, 2].map(|i| (reach.max[axes[i]] - middle[i]) as f32 + BEYOND);
+        // Beyond it half steps are rounded away.
+        if low.iter().chain(&high).any(|v| v.abs() >= (1u32 << 22) as f32) {
+            return None;
+        }
         let (wide, deep) = (high[0] - low[0], high[1] - low[1]);
         let side = (wide * deep / surfels.len() as f32).sqrt();
         let plane = Surface::plane(&patches, side.into())?;

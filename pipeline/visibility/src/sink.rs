@@ -34,12 +34,27 @@ pub(crate) struct Kept {
     pub(crate) journal: Journal,
     /// Tasks whose links are in `runs` but not committed.
     waiting: Vec<(u32, Status)>,
+    /// Why a commit did not come about. What then is on disk and what in memory is not known, so
+    /// nothing is taken and nothing committed any more.
+    failure: Option<StoreError>,
 }
 
 impl Kept {
     /// Makes durable all that came here so far, and `more`.
     fn commit(&mut self, more: &[Pair]) -> Result<(), StoreError> {
         self.journal.commit(&mut self.runs, more, &mut self.waiting)
+    }
+
+    /// Does something that writes, unless that failed before. Who fails is told to stop; the reason
+    /// is kept for [`Sink::failure`].
+    fn write(
+        &mut self,
+        step: impl FnOnce(&mut Kept) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        if self.failure.is_none() {
+            self.failure = step(self).err();
+        }
+        if self.failure.is_some() { Err(StoreError::Interrupted) } else { Ok(()) }
     }
 }
 
@@ -66,7 +81,7 @@ impl Sink {
         checkpoint: Duration,
     ) -> Sink {
         let sink = Sink {
-            kept: Mutex::new(Kept { runs, statuses, journal, waiting: Vec::new() }),
+            kept: Mutex::new(Kept { runs, statuses, journal, waiting: Vec::new(), failure: None }),
             full_links,
             checkpoint,
             started: Instant::now(),
@@ -106,6 +121,11 @@ impl Sink {
         self.commit(&mut self.lock())
     }
 
+    /// Gives the reason for which nothing is taken any more.
+    pub(crate) fn failure(&self) -> Option<StoreError> {
+        self.lock().failure.take()
+    }
+
     /// Gives what is decided by now.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Kept> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
@@ -117,15 +137,21 @@ impl Sink {
 
     /// Puts sorted links away.
     fn put(&self, kept: &mut Kept, found: &mut Found) -> Result<(), StoreError> {
-        for &(task, status) in &found.tasks {
-            kept.statuses[task as usize] = Some(status);
-        }
-        kept.waiting.append(&mut found.tasks);
-        if kept.runs.has_room_for(&found.links) {
-            kept.runs.push(&found.links)?;
-        } else {
-            kept.commit(&found.links)?;
+        let mut is_committed = false;
+        kept.write(|kept| {
+            kept.waiting.extend_from_slice(&found.tasks);
+            if kept.runs.has_room_for(&found.links) {
+                kept.runs.push(&found.links)
+            } else {
+                is_committed = true;
+                kept.commit(&found.links)
+            }
+        })?;
+        if is_committed {
             self.set_due();
+        }
+        for (task, status) in found.tasks.drain(..) {
+            kept.statuses[task as usize] = Some(status);
         }
         found.links.clear();
         found.epoch = self.epoch.load(Ordering::Relaxed);
@@ -133,7 +159,7 @@ impl Sink {
     }
 
     fn commit(&self, kept: &mut Kept) -> Result<(), StoreError> {
-        kept.commit(&[])?;
+        kept.write(|kept| kept.commit(&[]))?;
         self.epoch.fetch_add(1, Ordering::Relaxed);
         self.set_due();
         Ok(())

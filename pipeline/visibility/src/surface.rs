@@ -69,8 +69,11 @@ impl Surface {
     /// Over a disc of radius R around c, the height over the surface changes from that of c by at
     /// most R times the difference of the slopes at c, and R² times the greatest bend.
     ///
-    /// A height in f32 takes a dozen roundings of terms that are below `size`, a height along a
-    /// segment some hundred: together less than `size` times 2^-16.
+    /// Let G be 1 + |p| + |q| + (|A| + |B| + |C|)·2^22, so that all terms of a height are below
+    /// G·2^22 and a step changes it by less than 2·G. A height in f32 takes a dozen roundings, one
+    /// along a segment some hundred of a quarter step times G: less than 30·G steps. Spared radii
+    /// are rounded inward by less than 2^-19 of at most 2^23 steps, which is 32·G. The 64·G that
+    /// are added cover both.
     fn reaching(mut self, patches: &[Patch]) -> Surface {
         let [a, b, c] = self.bend.map(f64::from);
         let [p, q] = self.slope.map(f64::from);

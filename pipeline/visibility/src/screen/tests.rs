@@ -35,12 +35,16 @@ fn sheet_discs(rng: &mut Rng) -> Vec<Disc> {
             n[axis] = (slopes[k] * 1e6) as i64;
         }
         let radius = reach * f64::from(step);
+        // Patches reach farther to one side than to the other, and some surfels have no normal.
+        let mut limit = Box3::at(centroid).grown((radius * 0.9) as i32 + 1);
+        let axis = rng.usize(..3);
+        limit.max[axis] -= (radius * rng.f64() * 0.9) as i32;
         discs.push(Disc {
             centroid,
-            normal: normal::rescale(n),
+            normal: if rng.u8(..32) == 0 { [0; 3] } else { normal::rescale(n) },
             two_sided,
             radius2: (radius * radius) as u64,
-            limit: Box3::at(centroid).grown((radius * 0.9) as i32 + 1),
+            limit,
         });
     }
     discs
@@ -63,7 +67,9 @@ fn ends(rng: &mut Rng, discs: &mut Vec<Disc>, n_sheet: usize) -> std::ops::Range
                 let middle = if kind == 1 { near.centroid } else { [1 << 21; 3] };
                 let shift = |c: i32| (c + rng.i32(-spread..=spread)).clamp(0, (1 << 22) - 1);
                 let centroid = middle.map(shift);
-                Disc { centroid, radius2: near.radius2 >> (2 * rng.u32(..4)), ..near }
+                // From nearly none to many times that of the sheet's surfels.
+                let radius2 = near.radius2 << rng.u32(..8) >> (2 * rng.u32(..8));
+                Disc { centroid, radius2: radius2.min((1 << 46) - 1), ..near }
             }
         };
         discs.push(disc);
