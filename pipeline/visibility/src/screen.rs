@@ -19,10 +19,10 @@
 //!   `paper` its plane meets the segment at t = 0 only, where F would have to be beyond ε.
 //! - What is left is tried with the surfel that the raster names.
 //!
-//! **The bound of f32.** Places are exact: boxes end on half steps below 2^22. A share t is off by less than 2^-21, so a place by less
-//! than `PLACE_SLACK` steps, by which boxes and distances are on the safe side. What heights are
-//! off by is part of a surface's `reach`. Comparisons of products carry
-//! factors of `OUTWARD`.
+//! **The bound of f32.** Places are exact: boxes end on half steps below 2^22. A share t is off by
+//! less than 2^-21, so a place by less than `PLACE_SLACK` steps, by which boxes and distances are
+//! on the safe side. What heights are off by is part of a surface's `reach`. Comparisons of
+//! products carry factors of `OUTWARD`.
 
 use multiversion::multiversion;
 use pvmap_geometry::disc::{Disc, Profile};
