@@ -7,6 +7,7 @@ use pvmap::vmap::octree::FILE_NAME;
 use pvmap::vmap::{OctreeView, Shape, Tree};
 use pvmap::{IngestRequest, Limits, Mapped, Quiet};
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
+use pvmap_store::Table;
 use pvmap_visibility::bounds::{self, Bounds};
 use pvmap_visibility::candidates::{self, Family};
 use pvmap_visibility::pairs;
@@ -22,8 +23,8 @@ const CUT: CutOptions =
 pub(crate) struct Room {
     pub(crate) tree: Tree,
     pub(crate) discs: Vec<Disc>,
-    pub(crate) bounds: Vec<Bounds>,
-    pub(crate) families: Vec<Family>,
+    pub(crate) bounds: Table<Bounds>,
+    pub(crate) families: Table<Family>,
     /// None: it is the kernel that is measured.
     sheets: Sheets,
 }
@@ -44,9 +45,9 @@ impl Room {
         let tree = cut(&view, &CUT, memory, &Quiet).expect("just written");
         let discs: Vec<Disc> =
             (0..tree.surfels.len() as u32).map(|s| tree.disc(s, PROFILE)).collect();
-        let bounds = bounds::of_tree(&tree, &discs, PROFILE);
+        let bounds = bounds::of_tree(&tree, &discs, PROFILE, None).expect("in memory");
         let sheets = Sheets::default();
-        let families = candidates::families(&tree, &bounds, &sheets);
+        let families = candidates::families(&tree, &bounds, &sheets, None).expect("in memory");
         Room { tree, discs, bounds, families, sheets }
     }
 

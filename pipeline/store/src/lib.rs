@@ -2,11 +2,11 @@
 //!
 //! Inputs are opened and read here ([`input`]), finished files are mapped ([`map`]), artifacts are
 //! written beside their final name and appear whole ([`output`], [`sections`]), what does not fit
-//! in memory is spilled ([`spill`], [`runs`]). A run that can be resumed works in a folder of its
-//! own ([`work`]), locked, with a log of what is done ([`log`]). What a run holds in memory
-//! ([`memory`]) and its line to the person who waits for it ([`watch`]) are here too, because every
-//! stage that touches the disk needs both. The room knows nothing of points, nodes or links: it
-//! moves bytes. It never prints.
+//! in memory is spilled ([`spill`], [`runs`]) or mapped ([`table`]). A run that can be resumed
+//! works in a folder of its own ([`work`]), locked, with a log of what is done ([`log`]). What a
+//! run holds in memory ([`memory`]) and its line to the person who waits for it ([`watch`]) are
+//! here too, because every stage that touches the disk needs both. The room knows nothing of
+//! points, nodes or links: it moves bytes. It never prints.
 //!
 //! Start reading at [`output::AtomicFile`].
 
@@ -20,6 +20,7 @@ pub mod output;
 pub mod runs;
 pub mod sections;
 pub mod spill;
+pub mod table;
 pub mod watch;
 pub mod work;
 
@@ -30,5 +31,6 @@ pub use map::Mapped;
 pub use output::{AtomicFile, AtomicFolder};
 pub use sections::SectionFile;
 pub use spill::Spill;
+pub use table::Table;
 pub use watch::{Quiet, Watch};
 pub use work::WorkFolder;

@@ -3,8 +3,11 @@
 //! All bounds are intervals of integers below 2^41, so arithmetic in i64 is exact and every
 //! conclusion is a proof: [`Facing::Unsure`] is the only answer that says nothing.
 
+use std::path::Path;
+
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile};
+use pvmap_store::{StoreError, Table};
 use pvmap_vmap::Tree;
 use rayon::prelude::*;
 
@@ -164,22 +167,25 @@ pub fn facing(a: &Bounds, b: &Bounds) -> Facing {
     }
 }
 
-/// Bounds every node of a tree, in node order.
-pub fn of_tree(tree: &Tree, discs: &[Disc], profile: Profile) -> Vec<Bounds> {
-    let leaves: Vec<Bounds> = discs.par_iter().map(|d| of_leaf(d, profile)).collect();
-    let mut bounds = vec![Bounds::NOTHING; tree.nodes.len()];
+/// Bounds every node of a tree, in node order; in a file of `folder` where one is given.
+///
+/// # Errors
+/// Those of [`Table::new`].
+pub fn of_tree(
+    tree: &Tree,
+    discs: &[Disc],
+    profile: Profile,
+    folder: Option<&Path>,
+) -> Result<Table<Bounds>, StoreError> {
+    let mut bounds = Table::new(tree.nodes.len(), Bounds::NOTHING, folder)?;
+    let leaves = bounds.par_iter_mut().zip(&tree.nodes).filter(|(_, node)| node.is_leaf());
+    leaves.for_each(|(leaf, node)| *leaf = of_leaf(&discs[node.first_surfel as usize], profile));
     // Preorder backwards: children come before their parent.
-    for id in (0..tree.nodes.len()).rev() {
-        let node = &tree.nodes[id];
-        if node.is_leaf() {
-            bounds[id] = leaves[node.first_surfel as usize];
-        }
-        if id > 0 {
-            let parent = node.parent as usize;
-            bounds[parent] = bounds[parent].join(&bounds[id]);
-        }
+    for id in (1..tree.nodes.len()).rev() {
+        let parent = tree.nodes[id].parent as usize;
+        bounds[parent] = bounds[parent].join(&bounds[id]);
     }
-    bounds
+    Ok(bounds)
 }
 
 /// Bounds a group of surfels; of none, nothing.

@@ -7,26 +7,28 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::memory::{require, require_disk};
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::sections::Section;
-use pvmap_store::{SectionFile, StoreError, Watch, WorkFolder};
+use pvmap_store::{SectionFile, StoreError, Table, Watch, WorkFolder};
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::links::LinkEncoder;
 use pvmap_vmap::map::{SECTIONS, close_map, config_text};
 use pvmap_vmap::records::{LinkBlock, Record};
+use pvmap_vmap::tree::disc_of;
 use pvmap_vmap::{MapSummary, Node, Shape, Surfel, Tree};
 use rayon::prelude::*;
 
-use crate::bounds;
+use crate::bounds::{self, Bounds};
 use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
-use crate::interaction::{self, checked_pairs, sibling_pairs};
+use crate::interaction::{self, checked_pairs};
 use crate::journal::{self, Begun, Journal, SavedPlan};
 use crate::kernel::Counts;
-use crate::pairs::{Decider, Scene, Status};
+use crate::pairs::{Decider, Scene};
 use crate::sheets::Sheets;
 use crate::sink::{Found, Kept, Sink};
 use crate::tasks::{Plan, PlanLimits, n_leaf_pairs};
@@ -109,12 +111,16 @@ pub fn build(
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
-    let fixed = fixed_bytes(tree, options.interaction.as_deref());
+    let (given, memory_bytes) = (options.interaction.as_deref(), options.memory_bytes);
+    let tables_bytes = tables_bytes(tree);
+    let are_mapped = fixed_bytes(tree, given) + tables_bytes > memory_bytes / 2;
+    let fixed = fixed_bytes(tree, given) + if are_mapped { 0 } else { tables_bytes };
     let least = rayon::current_num_threads() as u64 * LEAST_THREAD_BYTES;
-    require("the surfels and nodes of this tree", fixed + least, options.memory_bytes)?;
+    require("the surfels and nodes of this tree", fixed + least, memory_bytes)?;
     let starts = match &options.interaction {
         Some(given) => checked_pairs(tree, given)?,
-        None => sibling_pairs(tree),
+        // The root with itself: all siblings under it.
+        None => tree.nodes.first().map(|_| (0, 0)).into_iter().collect(),
     };
     let config = config_of(options, options.interaction.as_ref().map(|_| starts.as_slice()));
     let mut saved = plan_of(input, &config);
@@ -122,16 +128,13 @@ pub fn build(
         work.clear(|_| true)?;
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
-    require_disk(work.path(), least_output_bytes(input))?;
-    let profile = options.profile;
-    let discs: Vec<Disc> =
-        (0..tree.surfels.len() as u32).into_par_iter().map(|s| tree.disc(s, profile)).collect();
-    let bounds = bounds::of_tree(tree, &discs, profile);
-    let sheets = Sheets::new(tree, &discs, &bounds);
-    let families = candidates::families(tree, &bounds, &sheets);
-    let (discs, bounds, families, sheets) = (&discs, &bounds, &families, &sheets);
-    let scene = Scene { tree, discs, bounds, families, sheets, profile };
-    let shares = Shares::of(options.memory_bytes - fixed);
+    let files_bytes = if are_mapped { tables_bytes } else { 0 };
+    require_disk(work.path(), least_output_bytes(input) + files_bytes)?;
+    let shares = Shares::of(memory_bytes - fixed);
+    let folder = work.path().to_path_buf();
+    let folder = Some(folder.as_path()).filter(|_| are_mapped);
+    let ground = Ground::new(tree, options.profile, shares.sheets_bytes, folder)?;
+    let scene = ground.scene(tree, options.profile);
     let plan = match &begun {
         Some(begun) => {
             let target = shares.require_tasks(begun.target())?;
@@ -149,18 +152,57 @@ pub fn build(
     let sink = Sink::new(runs, statuses, journal, full_links, options.checkpoint);
     let counts = decide(&scene, &starts, &plan, &sink, watch)?;
     let mut kept = sink.into_kept();
-    let mut above = Vec::new();
-    let statuses: Vec<Status> = kept.statuses.iter().copied().flatten().collect();
-    assert_eq!(statuses.len(), plan.tasks.len(), "every task is done");
-    plan.combine(&statuses, &mut above);
-    above.sort_unstable();
-    kept.runs.push(&above)?;
+    let mut above = plan.combine(&kept.statuses).peekable();
+    while above.peek().is_some() {
+        let mut links: Vec<Pair> = above.by_ref().take(MAX_LINKS_ABOVE).collect();
+        links.sort_unstable();
+        kept.runs.push(&links)?;
+    }
+    drop(above);
     let stopped = kept.journal.stopped(plan.tasks.len() as u64);
     let report = write(input, &config, kept, watch).map_err(|e| match e {
         VisibilityError::Store(StoreError::Interrupted) => stopped,
         e => e,
     })?;
     Ok(BuildReport { n_tasks: plan.tasks.len() as u64, n_tasks_resumed, counts, ..report })
+}
+
+/// What pairs are decided from besides the tree.
+struct Ground {
+    discs: Table<Disc>,
+    bounds: Table<Bounds>,
+    sheets: Sheets,
+    families: Table<Family>,
+}
+
+impl Ground {
+    /// Makes it; its tables in files of `folder` where one is given.
+    fn new(
+        tree: &Tree,
+        profile: Profile,
+        sheets_bytes: u64,
+        folder: Option<&Path>,
+    ) -> Result<Ground, StoreError> {
+        let nothing = Disc {
+            centroid: [0; 3],
+            normal: [0; 3],
+            two_sided: false,
+            radius2: 0,
+            limit: Box3::EMPTY,
+        };
+        let mut discs = Table::new(tree.surfels.len(), nothing, folder)?;
+        let all = discs.par_iter_mut().zip(&tree.surfels);
+        all.for_each(|(disc, surfel)| *disc = disc_of(surfel, profile));
+        let bounds = bounds::of_tree(tree, &discs, profile, folder)?;
+        let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
+        let families = candidates::families(tree, &bounds, &sheets, folder)?;
+        Ok(Ground { discs, bounds, sheets, families })
+    }
+
+    fn scene<'a>(&'a self, tree: &'a Tree, profile: Profile) -> Scene<'a> {
+        let Ground { discs, bounds, sheets, families } = self;
+        Scene { tree, discs, bounds, families, sheets, profile }
+    }
 }
 
 /// Decides all tasks that are not done.
@@ -179,7 +221,8 @@ fn decide(
     let (open, n_links_before) = {
         let kept = sink.lock();
         let is_open = |&i: &u32| kept.statuses[i as usize].is_none();
-        let open: Vec<u32> = (0..plan.tasks.len() as u32).filter(is_open).collect();
+        let mut open = Vec::with_capacity(plan.tasks.len());
+        open.extend((0..plan.tasks.len() as u32).filter(is_open));
         (open, kept.runs.n_pairs())
     };
     let n_resumed = n_tasks - open.len() as u64;
@@ -196,7 +239,8 @@ fn decide(
     // Each task can be stolen: rayon's own pieces of a list last minutes where tasks do.
     let outcome = open.par_iter().with_max_len(1).try_for_each(|&task| {
         watch.check()?;
-        let mut found = locked(&buffers).pop().unwrap_or_default();
+        let spare = locked(&buffers).pop();
+        let mut found = spare.unwrap_or_else(|| sink.new_buffer());
         let n_before = found.links.len();
         // Caught here, so that the others stop and what is done is kept (F12).
         let decided = catch_unwind(AssertUnwindSafe(|| {
@@ -297,27 +341,37 @@ fn least_output_bytes(input: &MapInput<'_>) -> u64 {
     head_bytes(SECTIONS.len()) + (nodes * Node::BYTES + surfels * Surfel::BYTES) as u64
 }
 
-/// How the memory is shared that the tree leaves: a quarter is for the plan, half for the buffers
-/// of links, an eighth for finished runs of them; the rest is for deciders, merging and writing.
+/// How the memory is shared that the tree leaves: a quarter is for the plan, three eighths for the
+/// buffers of links, an eighth for finished runs of them, an eighth and what the buffers cannot use
+/// for sheets; the rest is for deciders, merging and writing.
 #[derive(Debug, Clone, Copy)]
 struct Shares {
     plan: PlanLimits,
     runs_bytes: u64,
+    sheets_bytes: u64,
 }
+
+/// Links above the tasks that are sorted at once: so many take 512 KiB.
+const MAX_LINKS_ABOVE: usize = 1 << 16;
 
 /// What each thread needs at the least.
 const LEAST_THREAD_BYTES: u64 = 1 << 20;
 
-/// A link in a buffer is there twice while the buffer grows.
-const BUFFER_COST_BYTES: u64 = 2 * size_of::<Pair>() as u64;
+/// A buffer gets all its room at once, which costs nothing until it is used.
+const BUFFER_COST_BYTES: u64 = size_of::<Pair>() as u64;
+
+/// More links than so many, 64 MiB, are not sorted at once.
+const MAX_BUFFER_LINKS: u64 = 1 << 23;
 
 impl Shares {
     fn of(spare_bytes: u64) -> Shares {
         let n_threads = rayon::current_num_threads() as u64;
-        let buffer_links = spare_bytes / 2 / n_threads / BUFFER_COST_BYTES;
+        let have_links = spare_bytes / 8 * 3 / n_threads / BUFFER_COST_BYTES;
+        let buffer_links = have_links.min(MAX_BUFFER_LINKS);
+        let unused_bytes = (have_links - buffer_links) * n_threads * BUFFER_COST_BYTES;
         // Half of a buffer may be full before a task that fills the other half.
         let plan = PlanLimits { task_links: buffer_links / 2, memory_bytes: spare_bytes / 4 };
-        Shares { plan, runs_bytes: spare_bytes / 8 }
+        Shares { plan, runs_bytes: spare_bytes / 8, sheets_bytes: spare_bytes / 8 + unused_bytes }
     }
 
     /// Makes sure that the buffers hold what tasks of at most so many leaf pairs may find.
@@ -330,17 +384,22 @@ impl Shares {
     }
 }
 
-/// What a build holds besides its links and their plan.
+/// What a build holds besides its tables, sheets, links and their plan.
 fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
-    let a_node = size_of::<Node>() + size_of::<bounds::Bounds>();
     let n_inner = tree.nodes.len().saturating_sub(tree.surfels.len());
-    let a_leaf = size_of::<Surfel>() + size_of::<Disc>() + size_of::<bounds::Bounds>();
-    let starts = match given {
-        Some(given) => given.len() * interaction::GIVEN_BYTES,
-        None => interaction::n_sibling_pairs(tree) * size_of::<Pair>(),
-    };
-    let families = n_inner * size_of::<Family>();
-    (tree.nodes.len() * a_node + families + tree.surfels.len() * a_leaf + starts) as u64
+    let starts = given.map_or(0, |given| given.len() * interaction::GIVEN_BYTES);
+    let of_surfels = tree.surfels.len() * size_of::<Surfel>();
+    let of_nodes = tree.nodes.len() * size_of::<Node>() + n_inner * Sheets::A_FAMILY_BYTES;
+    (of_nodes + of_surfels + starts) as u64
+}
+
+/// What the tables of a build take: more than half of its memory together with the above, and they
+/// go to files.
+fn tables_bytes(tree: &Tree) -> u64 {
+    let n_inner = tree.nodes.len().saturating_sub(tree.surfels.len());
+    // Families are found by a number for each node.
+    let of_nodes = tree.nodes.len() * (size_of::<Bounds>() + size_of::<u32>());
+    (of_nodes + n_inner * size_of::<Family>() + tree.surfels.len() * size_of::<Disc>()) as u64
 }
 
 /// Writes the map from the tree and the spilled links.

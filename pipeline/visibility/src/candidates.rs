@@ -4,10 +4,12 @@
 //! Nodes are asked together with their siblings, a lane each ([`Family`]).
 
 use std::ops::Range;
+use std::path::Path;
 
 use multiversion::multiversion;
 use pvmap_geometry::Box3;
 use pvmap_geometry::shaft::Shaft;
+use pvmap_store::{StoreError, Table};
 use pvmap_vmap::Tree;
 
 use crate::bounds::Bounds;
@@ -18,7 +20,7 @@ use crate::sheets::Sheets;
 const MAX_CHILDREN: usize = 8;
 
 /// What the culling asks of the children of a node: it is asked some hundred million times.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 pub struct Family {
     /// Of every place at which a surfel under the child can block.
     low: [[i32; MAX_CHILDREN]; 3],
@@ -87,17 +89,27 @@ pub struct Kept {
     children: u8,
 }
 
-/// Makes the families of all inner nodes, the root's first, in node order.
-pub fn families(tree: &Tree, bounds: &[Bounds], sheets: &Sheets) -> Vec<Family> {
-    let mut of_node = Vec::with_capacity(tree.nodes.len());
+/// Makes the families of all inner nodes, the root's first, in node order; in a file of `folder`
+/// where one is given.
+///
+/// # Errors
+/// Those of [`Table::new`].
+pub fn families(
+    tree: &Tree,
+    bounds: &[Bounds],
+    sheets: &Sheets,
+    folder: Option<&Path>,
+) -> Result<Table<Family>, StoreError> {
+    let n_nodes = tree.nodes.len();
+    let mut of_node = Table::new(n_nodes, 0, folder)?;
     let mut n_families = 0;
-    for node in &tree.nodes {
-        of_node.push(n_families);
+    for (family, node) in of_node.iter_mut().zip(&tree.nodes) {
+        *family = n_families;
         n_families += u32::from(!node.is_leaf());
     }
-    let inner = (0..tree.nodes.len() as u32).filter(|&id| !tree.nodes[id as usize].is_leaf());
-    let family = |id| {
-        let mut family = Family::EMPTY;
+    let mut families = Table::new(n_families as usize, Family::EMPTY, folder)?;
+    let inner = (0..n_nodes as u32).filter(|&id| !tree.nodes[id as usize].is_leaf());
+    for (id, family) in inner.zip(families.iter_mut()) {
         for (k, child) in tree.children(id).enumerate() {
             let node = &tree.nodes[child as usize];
             let below = if node.is_leaf() { node.first_surfel } else { of_node[child as usize] };
@@ -107,9 +119,8 @@ pub fn families(tree: &Tree, bounds: &[Bounds], sheets: &Sheets) -> Vec<Family> 
             family.leaves |= u8::from(node.is_leaf()) << k;
             family.sheets |= u8::from(is_sheet) << k;
         }
-        family
-    };
-    inner.map(family).collect()
+    }
+    Ok(families)
 }
 
 /// The list of a pair of which nothing is known yet: everything.

@@ -14,15 +14,9 @@ use crate::error::{PairFault, VisibilityError};
 pub const GIVEN_BYTES: usize =
     4 * size_of::<Pair>() + 3 * size_of::<(Pair, usize)>() + 2 * size_of::<Side>();
 
-/// Counts what [`sibling_pairs`] lists.
-pub fn n_sibling_pairs(tree: &Tree) -> usize {
-    let n_children = (0..tree.nodes.len() as u32).map(|id| tree.children(id).count());
-    n_children.map(|n| n * n.saturating_sub(1) / 2).sum()
-}
-
 /// Lists every unordered pair of distinct siblings, at every inner node.
 pub fn sibling_pairs(tree: &Tree) -> Vec<Pair> {
-    let mut pairs = Vec::with_capacity(n_sibling_pairs(tree));
+    let mut pairs = Vec::new();
     for id in 0..tree.nodes.len() as u32 {
         let children: Vec<u32> = tree.children(id).collect();
         for (i, &a) in children.iter().enumerate() {
@@ -148,7 +142,7 @@ mod tests {
     #[test]
     fn v5_the_first_pair_at_fault_is_named() {
         let twice = |first, second| Some((vec![first, second], PairFault::CoveredTwice));
-        assert_eq!(sibling_pairs(&tree()).len(), n_sibling_pairs(&tree()));
+        assert_eq!(sibling_pairs(&tree()), [(1, 4), (2, 3), (5, 6)]);
         assert_eq!(rows_at_fault(&sibling_pairs(&tree())), None);
         assert_eq!(rows_at_fault(&[(2, 5), (6, 3), (3, 5), (2, 6)]), None);
         let fault = PairFault::NoSuchNode { node: 7, n_nodes: 7 };

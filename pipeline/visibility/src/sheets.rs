@@ -93,23 +93,45 @@ pub struct Sheets {
 const NO_SHEET: u32 = u32::MAX;
 
 impl Sheets {
-    /// Finds the largest sheets of a tree. Families are numbered as inner nodes are.
-    pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds]) -> Sheets {
-        let mut sheets = Sheets::default();
-        let mut covered = 0;
-        for (id, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
-            let surfels = node.first_surfel..node.end_surfel;
-            let fits = id >= covered && (MIN_SURFELS..=MAX_SURFELS).contains(&surfels.len());
-            let sheet = if fits { Sheet::new(surfels, discs, &bounds[id]) } else { None };
-            sheets.of_family.push(match sheet {
-                Some(sheet) => {
-                    covered = node.end as usize;
-                    sheets.sheets.push(sheet);
-                    sheets.sheets.len() as u32 - 1
-                }
-                None => NO_SHEET,
+    /// What a sheet takes at the most.
+    pub(crate) const A_SHEET_BYTES: u64 = (size_of::<Sheet>() + size_of::<Detail>() + 32) as u64;
+
+    /// Bytes for each inner node, which are not among those of the sheets.
+    pub(crate) const A_FAMILY_BYTES: usize = size_of::<u32>();
+
+    /// Finds the largest sheets of a tree. Families are numbered as inner nodes are. Where
+    /// `memory_bytes` do not hold all of them, those of few surfels are left out.
+    pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
+        let max_sheets = usize::try_from(memory_bytes / Self::A_SHEET_BYTES).unwrap_or(usize::MAX);
+        // There cannot be more of them.
+        let n_most = discs.len() / MIN_SURFELS;
+        let mut least = MIN_SURFELS;
+        if n_most > max_sheets {
+            let mut n_of = [0; MAX_SURFELS + 1];
+            each_sheet(tree, discs, bounds, |sheet| {
+                n_of[sheet.as_ref().map_or(0, |s| s.surfels.len())] += 1;
             });
+            let mut n_sheets = 0;
+            let sizes = (MIN_SURFELS..=MAX_SURFELS).rev();
+            let has_room = |&n: &usize| {
+                let had_room = n_sheets < max_sheets;
+                n_sheets += n_of[n];
+                had_room
+            };
+            least = sizes.take_while(has_room).last().unwrap_or(MAX_SURFELS);
         }
+        let mut sheets = Sheets {
+            of_family: Vec::with_capacity(tree.nodes.len() - discs.len()),
+            sheets: Vec::with_capacity(n_most.min(max_sheets)),
+        };
+        each_sheet(tree, discs, bounds, |sheet| {
+            let n_sheets = sheets.sheets.len();
+            let fits = |sheet: &Sheet| n_sheets < max_sheets && sheet.surfels.len() >= least;
+            let sheet = sheet.filter(fits);
+            // There are fewer sheets than surfels.
+            sheets.of_family.push(sheet.as_ref().map_or(NO_SHEET, |_| n_sheets as u32));
+            sheets.sheets.extend(sheet);
+        });
         sheets
     }
 
@@ -122,6 +144,25 @@ impl Sheets {
     pub fn of_family(&self, family: u32) -> Option<&Sheet> {
         let sheet = self.of_family.get(family as usize)?;
         self.sheets.get(*sheet as usize)
+    }
+}
+
+/// Visits all inner nodes in order, each with its sheet if it is the top of one.
+fn each_sheet(
+    tree: &Tree,
+    discs: &[Disc],
+    bounds: &[Bounds],
+    mut visit: impl FnMut(Option<Sheet>),
+) {
+    let mut covered = 0;
+    for (id, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
+        let surfels = node.first_surfel..node.end_surfel;
+        let fits = id >= covered && (MIN_SURFELS..=MAX_SURFELS).contains(&surfels.len());
+        let sheet = if fits { Sheet::new(surfels, discs, &bounds[id]) } else { None };
+        if sheet.is_some() {
+            covered = node.end as usize;
+        }
+        visit(sheet);
     }
 }
 

@@ -92,6 +92,11 @@ impl Sink {
         sink
     }
 
+    /// Makes a buffer that a task can fill by half after others have filled the other half.
+    pub(crate) fn new_buffer(&self) -> Found {
+        Found { links: Vec::with_capacity(2 * self.full_links), ..Found::default() }
+    }
+
     /// Takes what a decider found so far where that is much, or a commit is due. A task is done.
     pub(crate) fn take_when_due(&self, found: &mut Found) -> Result<(), StoreError> {
         if self.is_due() {

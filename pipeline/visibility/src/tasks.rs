@@ -1,15 +1,16 @@
 //! Chunk tasks: the pairs at which the recursion is cut into pieces of work. A task is a pure
 //! function of the tree and the configuration; what is above the tasks is put together from their
 //! statuses afterwards.
-
-use std::ops::Range;
+//!
+//! A pair of a node with itself stands for all pairs of siblings under it, so that small subtrees
+//! are a task each and the pairs to start from need no list.
 
 use pvmap_store::StoreError;
 use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
 
-use crate::bounds::{self, Facing};
-use crate::pairs::{Gathered, Scene, Status};
+use crate::bounds::Facing;
+use crate::pairs::{Scene, Status};
 
 /// A task has at most one part in so many of all leaf pairs, so that the last task of the slowest
 /// thread is short.
@@ -19,10 +20,14 @@ const MIN_TASK_PAIRS: u64 = 4096;
 /// A task has at most so many leaf pairs: some 0.1 s, between two looks at whether to stop.
 const MAX_TASK_PAIRS: u64 = 1 << 20;
 
-/// Bytes for each planned pair: itself, a task, its place in the list of what is still to do, their
-/// statuses, and the links above the tasks, which are there twice while they grow.
+/// All siblings under a node are one task where they have at most so many leaf pairs: those of 16
+/// leaves. Each for itself they would be two tasks for each leaf of the tree.
+const MAX_SIBLINGS_PAIRS: u64 = 128;
+
+/// Bytes for each planned pair: itself, a task, its place in the list of what is still to do, and
+/// the statuses of both.
 const PLANNED_BYTES: usize =
-    size_of::<Planned>() + 3 * size_of::<Pair>() + size_of::<u32>() + 3 * size_of::<Status>();
+    size_of::<Planned>() + size_of::<Pair>() + size_of::<u32>() + 2 * size_of::<Status>();
 
 /// A pair of the plan.
 #[derive(Debug, Clone, Copy)]
@@ -31,7 +36,7 @@ struct Planned {
     /// What decides it.
     by: By,
     /// One past the last of its descendants, which follow it in the plan.
-    end: usize,
+    end: u32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -93,7 +98,9 @@ impl Plan {
         // Counted first, so that the plan has no spare room and is never there twice.
         let n_planned: usize = starts.iter().map(|&pair| count(scene, pair, target)).sum();
         let need_bytes = (n_planned * PLANNED_BYTES) as u64;
-        require("the plan of a build", need_bytes, limits.memory_bytes)?;
+        // Places in a plan are u32.
+        let have_bytes = limits.memory_bytes.min(u64::from(u32::MAX) * PLANNED_BYTES as u64);
+        require("the plan of a build", need_bytes, have_bytes)?;
         let (planned, tasks) = (Vec::with_capacity(n_planned), Vec::with_capacity(n_planned));
         let mut plan = Plan { planned, tasks, target };
         starts.iter().for_each(|&pair| plan.cut(scene, pair, target));
@@ -114,56 +121,76 @@ impl Plan {
     fn cut(&mut self, scene: &Scene<'_>, pair: Pair, target: u64) {
         let at = self.planned.len();
         let by = decided_by(scene, pair, target);
-        self.planned.push(Planned { pair, by, end: at + 1 });
+        self.planned.push(Planned { pair, by, end: at as u32 + 1 });
         match by {
             By::Facing => {}
             By::Task => self.tasks.push(pair),
             By::Children => {
                 child_pairs(scene, pair).for_each(|child| self.cut(scene, child, target));
-                self.planned[at].end = self.planned.len();
+                self.planned[at].end = self.planned.len() as u32;
             }
         }
     }
 
-    /// Puts the statuses of the tasks together; links above the tasks go to `links`.
-    pub fn combine(&self, task_statuses: &[Status], links: &mut Vec<Pair>) {
+    /// Puts the statuses of the tasks together and lists the links above and of the tasks, in no
+    /// order.
+    ///
+    /// # Panics
+    /// Where a task has no status.
+    pub fn combine(&self, task_statuses: &[Option<Status>]) -> impl Iterator<Item = Pair> + '_ {
         let mut statuses = vec![Status::Invisible; self.planned.len()];
         let mut task_statuses = task_statuses.iter().rev();
         for (at, planned) in self.planned.iter().enumerate().rev() {
             statuses[at] = match planned.by {
                 By::Facing => Status::Invisible,
-                By::Task => *task_statuses.next().expect("a status for each task"),
-                By::Children => {
-                    let mut gathered = Gathered::new(links);
-                    for child in self.siblings(at + 1..planned.end) {
-                        let (a, b) = self.planned[child].pair;
-                        gathered.note(a, b, statuses[child], links);
-                    }
-                    gathered.settle(links)
+                By::Task => {
+                    let next = task_statuses.next().copied().flatten();
+                    next.expect("a status for each task: all of them are done")
                 }
+                By::Children => self.status_of(at, &statuses),
             };
         }
-        for root in self.siblings(0..self.planned.len()) {
-            let (a, b) = self.planned[root].pair;
-            if statuses[root] == Status::Visible {
-                links.push((a.min(b), a.max(b)));
+        let mut at = 0;
+        std::iter::from_fn(move || {
+            loop {
+                let planned = self.planned.get(at)?;
+                if statuses[at] == Status::Visible {
+                    // Nothing below a link is one.
+                    at = planned.end as usize;
+                    let (a, b) = planned.pair;
+                    return Some((a.min(b), a.max(b)));
+                }
+                at += 1;
             }
-        }
+        })
     }
 
-    /// Lists the places of the pairs that stand in a part of the plan but under none of it.
-    fn siblings(&self, part: Range<usize>) -> impl Iterator<Item = usize> + '_ {
-        let next = move |at: usize| Some(at).filter(|&at| at < part.end);
-        std::iter::successors(next(part.start), move |&at| next(self.planned[at].end))
+    /// Gives the status of a pair from those of its child pairs; siblings under a node are no pair
+    /// and have none.
+    fn status_of(&self, at: usize, statuses: &[Status]) -> Status {
+        let Planned { pair: (a, b), end, .. } = self.planned[at];
+        let next = move |at: usize| Some(at).filter(|&at| at < end as usize);
+        let children =
+            std::iter::successors(next(at + 1), |&at| next(self.planned[at].end as usize));
+        let mut n_of = [0usize; 3];
+        children.for_each(|child| n_of[statuses[child] as usize] += 1);
+        let [n_visible, n_invisible, n_partial] = n_of;
+        if a == b || n_visible + n_partial == 0 {
+            Status::Invisible
+        } else if n_invisible + n_partial == 0 {
+            Status::Visible
+        } else {
+            Status::Partial
+        }
     }
 }
 
 /// Says how a plan with tasks of at most `target` leaf pairs decides a pair.
 fn decided_by(scene: &Scene<'_>, (a, b): Pair, target: u64) -> By {
-    let (bound_a, bound_b) = (&scene.bounds[a as usize], &scene.bounds[b as usize]);
-    if bounds::facing(bound_a, bound_b) == Facing::Never {
+    let most = if a == b { target.min(MAX_SIBLINGS_PAIRS) } else { target };
+    if a != b && scene.facing(a, b) == Facing::Never {
         By::Facing
-    } else if n_leaf_pairs(scene, a, b) <= target {
+    } else if n_leaf_pairs(scene, a, b) <= most {
         By::Task
     } else {
         By::Children
@@ -180,17 +207,20 @@ fn count(scene: &Scene<'_>, pair: Pair, target: u64) -> usize {
     }
 }
 
-/// Lists kids(A)×kids(B). [V-4]
+/// Lists kids(A)×kids(B), [V-4]; of siblings under a node the children's pairs and what is under
+/// the children.
 fn child_pairs<'a>(scene: &Scene<'a>, (a, b): Pair) -> impl Iterator<Item = Pair> + use<'a> {
     let tree = scene.tree;
-    tree.kids(a).flat_map(move |x| tree.kids(b).map(move |y| (x, y)))
+    let all = tree.kids(a).flat_map(move |x| tree.kids(b).map(move |y| (x, y)));
+    let is_inner = move |id: u32| !tree.nodes[id as usize].is_leaf();
+    all.filter(move |&(x, y)| a != b || x < y || (x == y && is_inner(x)))
 }
 
-/// Counts the leaf pairs under a node pair.
+/// Counts the leaf pairs under a node pair, or of a node with itself those of siblings under it.
 pub fn n_leaf_pairs(scene: &Scene<'_>, a: u32, b: u32) -> u64 {
     let n = |id: u32| {
         let node = &scene.tree.nodes[id as usize];
         u64::from(node.end_surfel - node.first_surfel)
     };
-    n(a) * n(b)
+    if a == b { n(a) * n(a).saturating_sub(1) / 2 } else { n(a) * n(b) }
 }
