@@ -126,7 +126,7 @@ fn run(
 ) -> Result<Built, Error> {
     let BuildOptions { max_level, leaf_capacity, shape, profile, memory_bytes, .. } = *options;
     let cut_options = CutOptions { max_level, leaf_capacity, shape, profile };
-    // The tree gets most: at worst 2.5 times its size, and what comes after needs 3.5 times.
+    // The tree gets most; to fill in its spacing takes some of what the points had.
     let points_bytes = memory_bytes / 16 * 5;
     let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };
     let tree = cut(view, &cut_options, cut_memory, watch)?;

@@ -1,4 +1,5 @@
-//! Real scans the whole way: ingest, build, verify, query, each stage within the memory of [D-9].
+//! Real scans, and a made one of many leaves, the whole way: ingest, build, verify, query, each
+//! stage within the memory of [D-9].
 //!
 //! The great scans are behind `PVMAP_SLOW_TESTS`: with `PVMAP_SLOW_TESTS=1` to depth 6, with
 //! `PVMAP_SLOW_TESTS=all` as `depth8.toml` says, which takes about an hour for the room.
@@ -79,6 +80,23 @@ fn the_whole_way(case: &Case) {
     });
     assert_eq!(bench.names(), ["a.octree", "a.vmap"]);
     assert_answers(&bench, &input);
+}
+
+/// A room whose walls have 16 points a leaf or less: more than 200 000 leaves.
+const MANY_LEAVES: &str = "--leaf-capacity 16 --max-level 21";
+
+#[test]
+fn d9_two_hundred_thousand_leaves_in_64_mib() {
+    let bench = Bench::new();
+    bench.line("scene empty --points 1600k -o a.ply").ok();
+    run_within(&bench, "ingest -o a.octree", Path::new("a.ply"), 64);
+    let build = |map: &str| format!("build -o {map} {MANY_LEAVES}");
+    run_within(&bench, &build("a.vmap"), Path::new("a.octree"), 64);
+    bench.with_map("a.vmap", |view| assert!(view.summary().n_surfels >= 200_000));
+    // With room for all its tables it makes the same map.
+    bench.run([&build("b.vmap"), " a.octree --memory 1GiB"].concat().split(' ')).ok();
+    assert!(bench.read("a.vmap") == bench.read("b.vmap"));
+    assert_eq!(bench.names(), ["a.octree", "a.ply", "a.vmap", "b.vmap"]);
 }
 
 /// Asks whether points of the scan see each other, from both ends: each row has an answer and the

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use pvmap_geometry::morton;
 use pvmap_vmap::records::NO_PARENT;
-use pvmap_vmap::{Node, Shape, Split, Tree};
+use pvmap_vmap::{Node, Shape, Split, Surfel};
 
-use super::budget::Budget;
+use super::budget::{Blocks, Budget};
 use super::checked_id;
 use super::leaf::LeafPoints;
 use super::points::{LeafPoint, Reader};
@@ -22,6 +22,13 @@ pub(super) struct Rules {
     pub(super) max_held: usize,
 }
 
+/// The tree of a cutter.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) nodes: Blocks<Node>,
+    pub(super) surfels: Blocks<Surfel>,
+}
+
 /// Builds the octree of one bin (of all points in `paper`) while its points come in.
 ///
 /// The cells above the last point that have more points than a leaf are *open*: their nodes are
@@ -33,7 +40,7 @@ pub(super) struct Cutter<'a> {
     rules: Rules,
     budget: &'a Budget,
     bin: i8,
-    tree: Tree,
+    tree: Part,
     /// Node ids of the open cells, root first.
     open: Vec<u32>,
     pending: Cell,
@@ -91,7 +98,7 @@ impl<'a> Cutter<'a> {
             rules,
             budget,
             bin,
-            tree: Tree::default(),
+            tree: Part { nodes: Blocks::new(), surfels: Blocks::new() },
             open: Vec::new(),
             pending: Cell { codes: morton::cell_range(0, 0), ..Cell::default() },
         }
@@ -111,7 +118,7 @@ impl<'a> Cutter<'a> {
     ///
     /// # Errors
     /// Those of [`Cutter::take`].
-    pub(super) fn finish(mut self) -> Result<Tree, OctreeError> {
+    pub(super) fn finish(mut self) -> Result<Part, OctreeError> {
         self.settle()?;
         while let Some(id) = self.open.pop() {
             self.close(id);
@@ -139,7 +146,7 @@ impl<'a> Cutter<'a> {
     /// Makes the child of the deepest open cell around `code` pending, once others are closed.
     fn enter(&mut self, code: u64) {
         while let Some(&id) = self.open.last() {
-            let node = &self.tree.nodes[id as usize];
+            let node = &self.tree.nodes[id];
             if morton::cell_range(node.first_code, node.level).contains(&code) {
                 self.pending.level = node.level + 1;
                 self.pending.codes = morton::cell_range(code, node.level + 1);
@@ -210,8 +217,8 @@ impl<'a> Cutter<'a> {
         surfel.first_code = cell.codes.start;
         surfel.level = cell.level;
         surfel.node = id;
-        self.tree.nodes[id as usize].n_points = surfel.n_points;
-        self.budget.push(&mut self.tree.surfels, surfel)?;
+        self.tree.nodes[id].n_points = surfel.n_points;
+        self.tree.surfels.push(self.budget, surfel)?;
         self.close(id);
         Ok(())
     }
@@ -234,7 +241,7 @@ impl<'a> Cutter<'a> {
             slot,
             overhang: 0,
         };
-        self.budget.push(&mut self.tree.nodes, node)?;
+        self.tree.nodes.push(self.budget, node)?;
         Ok(id)
     }
 
@@ -242,12 +249,12 @@ impl<'a> Cutter<'a> {
     fn close(&mut self, id: u32) {
         // Every node of the subtree has got an id.
         let end = self.tree.nodes.len() as u32;
-        let node = &mut self.tree.nodes[id as usize];
+        let node = &mut self.tree.nodes[id];
         node.end = end;
         node.end_surfel = self.tree.surfels.len() as u32;
         let (parent, n_points) = (node.parent, node.n_points);
         if parent != NO_PARENT {
-            self.tree.nodes[parent as usize].n_points += n_points;
+            self.tree.nodes[parent].n_points += n_points;
         }
     }
 }

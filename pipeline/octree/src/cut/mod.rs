@@ -21,12 +21,12 @@ use pvmap_geometry::disc::Profile;
 use pvmap_store::Watch;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::{self, root_node};
-use pvmap_vmap::{Node, OctreeView, Shape, Surfel, Tree};
+use pvmap_vmap::{Node, OctreeView, Shape, Tree};
 use rayon::prelude::*;
 
 use crate::OctreeError;
 use budget::Budget;
-use cells::{Cutter, Rules};
+use cells::{Cutter, Part, Rules};
 use points::{LeafPoint, Reader, Window};
 
 /// What a build asks of the tree.
@@ -47,8 +47,8 @@ pub struct CutOptions {
 pub struct CutMemory {
     /// For the points that are held. Less than they need costs time, not the cut.
     pub points_bytes: u64,
-    /// For the tree while it grows and its bins are joined: at worst 2.5 times its own 40 bytes a
-    /// node and 88 a surfel.
+    /// For the tree, 40 bytes a node and 88 a surfel, and its last blocks: less than 256 KiB a bin
+    /// and as much when the bins are joined.
     pub tree_bytes: u64,
 }
 
@@ -91,7 +91,7 @@ pub fn cut(
     }
     drop(window);
     let parts = cutters.into_par_iter().map(Cutter::finish);
-    let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?, &budget)?;
+    let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?)?;
     spacing::fill(&mut tree.surfels, options.profile);
     tree::fill_overhangs(&mut tree);
     Ok(tree)
@@ -120,41 +120,34 @@ fn cutters<'a>(
 }
 
 /// Joins the trees of the cutters: `paper` has but one, `binned` gets a root above them.
-fn join(
-    shape: Shape,
-    n_points: u64,
-    mut parts: Vec<Tree>,
-    budget: &Budget,
-) -> Result<Tree, OctreeError> {
-    if shape == Shape::Paper {
-        return Ok(parts.pop().unwrap_or_default());
-    }
-    let n_nodes = 1 + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
+fn join(shape: Shape, n_points: u64, parts: Vec<Part>) -> Result<Tree, OctreeError> {
+    let n_roots = usize::from(shape == Shape::Binned);
+    let n_nodes = n_roots + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
     let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
-    budget.take::<Node>(n_nodes)?;
-    budget.take::<Surfel>(n_surfels)?;
     let end = checked_id(n_nodes - 1)? + 1;
+    // Room that is not used until the parts have given theirs back.
     let mut tree =
         Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };
-    let mut root = root_node(shape, n_points);
-    root.end = end;
-    // There are at most as many surfels as nodes.
-    root.end_surfel = n_surfels as u32;
-    tree.nodes.push(root);
-    for part in parts {
+    if shape == Shape::Binned {
+        // There are at most as many surfels as nodes.
+        let end_surfel = n_surfels as u32;
+        tree.nodes.push(Node { end, end_surfel, ..root_node(shape, n_points) });
+    }
+    let parent_of_tops = if shape == Shape::Binned { 0 } else { NO_PARENT };
+    for Part { nodes, surfels } in parts {
         let (first, first_surfel) = (tree.nodes.len() as u32, tree.surfels.len() as u32);
-        tree.nodes.extend(part.nodes.into_iter().map(|mut node| {
+        nodes.move_to(&mut tree.nodes, |mut node| {
             let is_top = node.parent == NO_PARENT;
-            node.parent = if is_top { 0 } else { node.parent + first };
+            node.parent = if is_top { parent_of_tops } else { node.parent + first };
             node.end += first;
             node.first_surfel += first_surfel;
             node.end_surfel += first_surfel;
             node
-        }));
-        tree.surfels.extend(part.surfels.into_iter().map(|mut surfel| {
+        });
+        surfels.move_to(&mut tree.surfels, |mut surfel| {
             surfel.node += first;
             surfel
-        }));
+        });
     }
     Ok(tree)
 }

@@ -13,6 +13,7 @@ use super::oracle::cut_slowly;
 use super::random::check_routes;
 use super::{PLENTY, TestPoint, options, points_within};
 use crate::OctreeError;
+use crate::cut::budget::BLOCK_ITEMS;
 use crate::cut::{CutMemory, checked_id, cut};
 
 /// Points on the walls of a room with some noise, normals a little off theirs.
@@ -109,8 +110,10 @@ fn d9_a_tree_larger_than_its_memory_is_refused() {
         };
         let tree = within(PLENTY).expect("room for it");
         let tree_bytes = (tree.nodes.len() * 40 + tree.surfels.len() * 88) as u64;
-        within(tree_bytes * 5 / 2 + (1 << 16)).expect("2.5 times its size, and its first rooms");
-        for too_little in [0, tree_bytes / 2, tree_bytes] {
+        let n_parts = if shape == Shape::Paper { 1 } else { 7 };
+        let blocks_bytes = n_parts * (40 + 88) * BLOCK_ITEMS as u64;
+        within(tree_bytes + blocks_bytes).expect("its size, and the last block of each list");
+        for too_little in [0, tree_bytes / 2, tree_bytes - 1] {
             let refused = within(too_little).expect_err("no room for it");
             assert!(matches!(refused, OctreeError::Store(StoreError::Budget { .. })), "{refused}");
         }
