@@ -227,8 +227,10 @@ fn f48_a_bomb_is_refused_without_unpacking_it() {
             check_refused(&hostile, &format!("{content_bytes} bytes, {n_links} links"));
         }
     }
-    // The other tests of this file run beside it, each with some copies of 64 KiB files.
-    assert!(peak_bytes() - before < 256 << 20, "{} bytes more", peak_bytes() - before);
+    // The other tests of this file run beside it, each with some copies of 64 KiB files. The kernel
+    // counts pages in batches: what it tells may even shrink a little.
+    let more = peak_bytes().saturating_sub(before);
+    assert!(more < 256 << 20, "{more} bytes more");
 }
 
 #[test]
