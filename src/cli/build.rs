@@ -33,7 +33,8 @@ interaction list; flags override it. In brackets above stands what depth8 says:
 A build can be stopped at any time and in any way (Ctrl-C, kill, power cut): what was there under
 the map's name stays, and the same command goes on where it was. Until the map is done, the tasks
 that are lie in the folder NAME.vmap.build beside it, locked against a second build of the same
-map. Threads and memory may be others when it goes on, the configuration may not.
+map. When it goes on, the configuration must be the same; threads and memory may be others, as
+long as a thread's share of the memory holds the tasks that were planned.
 
 Examples:
   pvmap build                                   the only *.octree here, depth 8

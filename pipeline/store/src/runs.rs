@@ -355,7 +355,7 @@ fn take_varint(bytes: &[u8], at: &mut usize) -> u32 {
 mod tests {
     use super::*;
 
-    fn merged(runs: Runs) -> Vec<Pair> {
+    pub(super) fn merged(runs: Runs) -> Vec<Pair> {
         let mut merged = Vec::new();
         let each = |pair| {
             merged.push(pair);

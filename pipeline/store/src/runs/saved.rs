@@ -166,17 +166,8 @@ fn read_runs(file: File, name: Arc<Path>, saved: &SavedRuns) -> io::Result<Optio
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::merged;
     use super::*;
-
-    fn merged(runs: Runs) -> Vec<Pair> {
-        let mut merged = Vec::new();
-        let each = |pair| {
-            merged.push(pair);
-            Ok::<_, StoreError>(())
-        };
-        runs.merge(each).unwrap();
-        merged
-    }
 
     fn pairs(of: u32) -> Vec<Pair> {
         (0..60_000).map(|i| (i / 300, i % 300 * 8 + of)).collect()
