@@ -6,16 +6,13 @@ use multiversion::multiversion;
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
 
-use crate::lanes::{all_bits, bits, dot, greater, mask_of};
+use crate::lanes::{OUTWARD, all_bits, bits, dot, greater, mask_of};
 
 /// Leaves of a side of a block at most: the bits of a mask.
 pub const MAX_ENDS: usize = u64::BITS as usize;
 
 /// Ends that are asked at once whom they face.
 const OCTET: usize = 8;
-
-/// What rounds a radius or a length outward in f32.
-pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
 
 /// Up to 64 leaves in a row, a lane each: all near or all far ends of a block's segments.
 #[derive(Debug, Clone)]

@@ -25,10 +25,12 @@ pub mod packets;
 pub mod pairs;
 mod pierce;
 pub mod screen;
+mod shares;
 pub mod sheets;
 mod sink;
 mod surface;
 pub mod tasks;
+mod write;
 
 pub use build::{BuildOptions, BuildReport, MapInput, build, open_work};
 pub use error::VisibilityError;

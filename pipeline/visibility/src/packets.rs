@@ -26,15 +26,15 @@
 //! - R_a·(|w| - 4·δ) ≤ (|P| + δ)·D, with D at least the length of every segment: it does so beyond
 //!   the disc of the near end; likewise with Q of the far end.
 //!
-//! Radii and D are rounded outward by 2^-20 of their size, which covers the roundings left.
+//! Radii and D are rounded outward by 2^-18 of their size, which covers the roundings left.
 
 use multiversion::multiversion;
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile};
 
-use crate::ends::{Ends, MAX_ENDS, OUTWARD};
+use crate::ends::{Ends, MAX_ENDS};
 use crate::kernel::Counts;
-use crate::lanes::{bits, dot32, greater, less, union_of};
+use crate::lanes::{OUTWARD, bits, dot32, greater, less, union_of};
 use crate::pierce::{HALF, Plate, pierce};
 
 /// Segments of a packet, and discs that are culled together.

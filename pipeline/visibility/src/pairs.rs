@@ -96,7 +96,7 @@ impl Gathered {
 
 /// Leaf pairs that are decided together, at most.
 const BLOCK_PAIRS: u32 = 1024;
-/// The same where most surfels belong to sheets.
+/// The same where there are sheets.
 const SHEET_BLOCK_PAIRS: u32 = 4096;
 
 /// How many node pairs were settled in which way; together all the recursion looked at.
@@ -126,10 +126,9 @@ pub struct Decider<'a> {
 }
 
 impl<'a> Decider<'a> {
-    /// Makes a decider that decides up to 1024 leaf pairs at once, 4096 where sheets are common.
+    /// Makes a decider that decides up to 1024 leaf pairs at once, 4096 where there are sheets.
     pub fn new(scene: Scene<'a>) -> Decider<'a> {
-        let n_in_sheets = 4 * scene.sheets.n_surfels() as usize;
-        let are_sheets = n_in_sheets >= 3 * scene.discs.len();
+        let are_sheets = !scene.sheets.is_empty();
         Decider::with_blocks_of(if are_sheets { SHEET_BLOCK_PAIRS } else { BLOCK_PAIRS }, scene)
     }
 
@@ -358,7 +357,7 @@ mod tests {
             // For all sheets, or for one.
             let memory_bytes = if n % 8 == 1 { Sheets::A_SHEET_BYTES } else { u64::MAX };
             let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile, folder).unwrap();
-            let sheets = Sheets::new(&grown.tree, &grown.discs, &bounds, memory_bytes);
+            let sheets = Sheets::all(&grown.tree, &grown.discs, &bounds, memory_bytes);
             let families = families(&grown.tree, &bounds, &sheets, folder).unwrap();
             Stage { grown, profile, bounds, sheets, families }
         }

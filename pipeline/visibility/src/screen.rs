@@ -28,11 +28,10 @@ use multiversion::multiversion;
 use pvmap_geometry::disc::{Disc, Profile};
 
 use crate::ends::{Ends, MAX_ENDS};
-use crate::lanes::{bits, dot32, greater, less, union_of};
+use crate::lanes::{OUTWARD, bits, dot32, greater, less, union_of};
 use crate::sheets::{
     Detail, MAX_SURFELS, MIDWAY, NOBODY, PLACE_SLACK, Plates, SIDE, SIDE_BITS, Sheet, UNITS,
 };
-use crate::surface::OUTWARD;
 
 /// Ends in a row that are asked together first.
 const GROUP: usize = 4;

@@ -13,8 +13,8 @@ use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds};
-use crate::lanes::{greater, less};
-use crate::surface::{OUTWARD, Patch, Surface};
+use crate::lanes::{OUTWARD, greater, less};
+use crate::surface::{Patch, Surface};
 
 /// Most and least surfels of a sheet.
 pub(crate) const MAX_SURFELS: usize = 64;
@@ -99,9 +99,17 @@ impl Sheets {
     /// Bytes for each inner node, which are not among those of the sheets.
     pub(crate) const A_FAMILY_BYTES: usize = size_of::<u32>();
 
+    /// Finds the sheets of a tree where they pay: where most surfels are in sheets. In a room all
+    /// but the edges are; among trees and on statues asking them takes longer than it saves.
+    pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
+        let sheets = Sheets::all(tree, discs, bounds, memory_bytes);
+        let n_surfels: usize = sheets.sheets.iter().map(|sheet| sheet.surfels.len()).sum();
+        if 4 * n_surfels >= 3 * discs.len() { sheets } else { Sheets::default() }
+    }
+
     /// Finds the largest sheets of a tree. Families are numbered as inner nodes are. Where
     /// `memory_bytes` do not hold all of them, those of few surfels are left out.
-    pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
+    pub(crate) fn all(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
         let max_sheets = usize::try_from(memory_bytes / Self::A_SHEET_BYTES).unwrap_or(usize::MAX);
         // There cannot be more of them.
         let n_most = discs.len() / MIN_SURFELS;
@@ -135,9 +143,9 @@ impl Sheets {
         sheets
     }
 
-    /// Counts the surfels of all sheets.
-    pub fn n_surfels(&self) -> u64 {
-        self.sheets.iter().map(|sheet| sheet.surfels.len() as u64).sum()
+    /// Says whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.sheets.is_empty()
     }
 
     /// Gives the sheet of a family.

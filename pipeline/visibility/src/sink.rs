@@ -26,7 +26,7 @@ pub(crate) struct Found {
 
 /// What is decided by now.
 #[derive(Debug)]
-pub(crate) struct Kept {
+pub(crate) struct Decided {
     /// Sorted runs of links.
     pub(crate) runs: Runs,
     /// The status of each task that is done.
@@ -39,17 +39,17 @@ pub(crate) struct Kept {
     failure: Option<StoreError>,
 }
 
-impl Kept {
+impl Decided {
     /// Makes durable all that came here so far, and `more`.
     fn commit(&mut self, more: &[Pair]) -> Result<(), StoreError> {
         self.journal.commit(&mut self.runs, more, &mut self.waiting)
     }
 
     /// Does something that writes, unless that failed before. Who fails is told to stop; the reason
-    /// is kept for [`Sink::failure`].
+    /// is decided for [`Sink::failure`].
     fn write(
         &mut self,
-        step: impl FnOnce(&mut Kept) -> Result<(), StoreError>,
+        step: impl FnOnce(&mut Decided) -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
         if self.failure.is_none() {
             self.failure = step(self).err();
@@ -61,7 +61,7 @@ impl Kept {
 /// Collects what deciders find.
 #[derive(Debug)]
 pub(crate) struct Sink {
-    kept: Mutex<Kept>,
+    decided: Mutex<Decided>,
     /// Links a buffer keeps before it is sorted and put away.
     full_links: usize,
     checkpoint: Duration,
@@ -81,7 +81,13 @@ impl Sink {
         checkpoint: Duration,
     ) -> Sink {
         let sink = Sink {
-            kept: Mutex::new(Kept { runs, statuses, journal, waiting: Vec::new(), failure: None }),
+            decided: Mutex::new(Decided {
+                runs,
+                statuses,
+                journal,
+                waiting: Vec::new(),
+                failure: None,
+            }),
             full_links,
             checkpoint,
             started: Instant::now(),
@@ -101,11 +107,11 @@ impl Sink {
     pub(crate) fn take_when_due(&self, found: &mut Found) -> Result<(), StoreError> {
         if self.is_due() {
             found.links.sort_unstable();
-            let mut kept = self.lock();
+            let mut decided = self.lock();
             // Another thread may have been quicker.
             let is_due = self.is_due();
-            self.put(&mut kept, found)?;
-            return if is_due { self.commit(&mut kept) } else { Ok(()) };
+            self.put(&mut decided, found)?;
+            return if is_due { self.commit(&mut decided) } else { Ok(()) };
         }
         let is_full = found.links.len() >= self.full_links || found.tasks.len() >= MAX_WAITING;
         if is_full || found.epoch != self.epoch.load(Ordering::Relaxed) {
@@ -132,39 +138,39 @@ impl Sink {
     }
 
     /// Gives what is decided by now.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Kept> {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Decided> {
+        self.decided.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn into_kept(self) -> Kept {
-        self.kept.into_inner().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn into_decided(self) -> Decided {
+        self.decided.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Puts sorted links away.
-    fn put(&self, kept: &mut Kept, found: &mut Found) -> Result<(), StoreError> {
+    fn put(&self, decided: &mut Decided, found: &mut Found) -> Result<(), StoreError> {
         let mut is_committed = false;
-        kept.write(|kept| {
-            kept.waiting.extend_from_slice(&found.tasks);
-            if kept.runs.has_room_for(&found.links) {
-                kept.runs.push(&found.links)
+        decided.write(|decided| {
+            decided.waiting.extend_from_slice(&found.tasks);
+            if decided.runs.has_room_for(&found.links) {
+                decided.runs.push(&found.links)
             } else {
                 is_committed = true;
-                kept.commit(&found.links)
+                decided.commit(&found.links)
             }
         })?;
         if is_committed {
             self.set_due();
         }
         for (task, status) in found.tasks.drain(..) {
-            kept.statuses[task as usize] = Some(status);
+            decided.statuses[task as usize] = Some(status);
         }
         found.links.clear();
         found.epoch = self.epoch.load(Ordering::Relaxed);
-        if kept.waiting.len() >= MAX_WAITING { self.commit(kept) } else { Ok(()) }
+        if decided.waiting.len() >= MAX_WAITING { self.commit(decided) } else { Ok(()) }
     }
 
-    fn commit(&self, kept: &mut Kept) -> Result<(), StoreError> {
-        kept.write(|kept| kept.commit(&[]))?;
+    fn commit(&self, decided: &mut Decided) -> Result<(), StoreError> {
+        decided.write(|decided| decided.commit(&[]))?;
         self.epoch.fetch_add(1, Ordering::Relaxed);
         self.set_due();
         Ok(())

@@ -1,11 +1,11 @@
 //! Curved surfaces that neighbouring surfels lie along.
 
+use crate::lanes::OUTWARD;
+
 /// Steepest slope of a surface and of its surfels.
 const STEEPEST: f64 = 4.0;
 /// Steps of a side of the grid.
 const GRID: f64 = (1u32 << 22) as f64;
-/// What makes up for the roundings of a comparison in f32.
-pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 18) as f32;
 
 /// A surfel along the axes u, v and w of a sheet, from its middle.
 #[derive(Debug, Clone, Copy)]

@@ -8,6 +8,7 @@
 use pvmap_store::StoreError;
 use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
+use pvmap_vmap::Tree;
 
 use crate::bounds::Facing;
 use crate::pairs::{Scene, Status};
@@ -78,7 +79,7 @@ impl Plan {
         starts: &[Pair],
         limits: &PlanLimits,
     ) -> Result<Plan, StoreError> {
-        let total: u64 = starts.iter().map(|&(a, b)| n_leaf_pairs(scene, a, b)).sum();
+        let total: u64 = starts.iter().map(|&(a, b)| n_leaf_pairs(scene.tree, a, b)).sum();
         let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
         let target = (total / TASKS).max(MIN_TASK_PAIRS).min(most);
         Plan::with_target(scene, starts, target, limits)
@@ -190,7 +191,7 @@ fn decided_by(scene: &Scene<'_>, (a, b): Pair, target: u64) -> By {
     let most = if a == b { target.min(MAX_SIBLINGS_PAIRS) } else { target };
     if a != b && scene.facing(a, b) == Facing::Never {
         By::Facing
-    } else if n_leaf_pairs(scene, a, b) <= most {
+    } else if n_leaf_pairs(scene.tree, a, b) <= most {
         By::Task
     } else {
         By::Children
@@ -217,9 +218,9 @@ fn child_pairs<'a>(scene: &Scene<'a>, (a, b): Pair) -> impl Iterator<Item = Pair
 }
 
 /// Counts the leaf pairs under a node pair, or of a node with itself those of siblings under it.
-pub fn n_leaf_pairs(scene: &Scene<'_>, a: u32, b: u32) -> u64 {
+pub fn n_leaf_pairs(tree: &Tree, a: u32, b: u32) -> u64 {
     let n = |id: u32| {
-        let node = &scene.tree.nodes[id as usize];
+        let node = &tree.nodes[id as usize];
         u64::from(node.end_surfel - node.first_surfel)
     };
     if a == b { n(a) * n(a).saturating_sub(1) / 2 } else { n(a) * n(b) }
