@@ -189,26 +189,34 @@ impl<'a> Decider<'a> {
             return Status::Invisible;
         }
         let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
-        if n_a.max(n_b) <= MAX_ENDS as u32 && n_a * n_b <= self.block_pairs {
-            self.settled.n_blocks += 1;
-            return self.block.decide((a, b), &mut self.candidates, list, links);
+        let is_block = n_a.max(n_b) <= MAX_ENDS as u32 && n_a * n_b <= self.block_pairs;
+        if is_block && facing != Facing::All {
+            return self.block((a, b), list, links);
         }
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
         let ends = [a, b].map(|id| bounds[id as usize].centroids);
         let start = self.candidates.len();
         let corridor = Corridor::new(&ends[0], &ends[1]);
-        let (families, depth) = (self.scene.families, Depth::Level(level));
+        let depth = if is_block { Depth::Sheets } else { Depth::Level(level) };
+        let families = self.scene.families;
         self.counts.n_candidates += refine(families, &corridor, depth, &mut self.candidates, list);
         let refined = start..self.candidates.len();
         let status = if refined.is_empty() && facing == Facing::All {
             self.settled.n_clear += 1;
             Status::Visible
+        } else if is_block {
+            self.block((a, b), refined, links)
         } else {
             self.settled.n_opened += 1;
-            self.child_pairs(a, b, refined.clone(), links)
+            self.child_pairs(a, b, refined, links)
         };
-        self.candidates.truncate(refined.start);
+        self.candidates.truncate(start);
         status
+    }
+
+    fn block(&mut self, pair: Pair, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
+        self.settled.n_blocks += 1;
+        self.block.decide(pair, &mut self.candidates, list, links)
     }
 
     fn n_leaves(&self, id: u32) -> u32 {
