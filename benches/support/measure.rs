@@ -59,7 +59,8 @@ pub(crate) fn build(
         leaf_pairs: u64::try_from(built.n_leaf_pairs).unwrap_or(u64::MAX),
         links: report.summary.n_links,
         map_bytes: report.output_bytes,
-        visibility_seconds: clock.seconds_of("visibility"),
+        // What is found out about all nodes before the first pair counts, too.
+        visibility_seconds: clock.seconds_of("prepare") + clock.seconds_of("visibility"),
         build_seconds,
         temporary_bytes: report.temporary_bytes,
         tests: report.counts.n_tests,

@@ -27,7 +27,7 @@ use crate::kernel::Counts;
 use crate::pairs::{Decider, Scene};
 use crate::shares::{MAX_LINKS_ABOVE, Shares};
 use crate::sheets::Sheets;
-use crate::sink::{Decided, Found, Sink};
+use crate::sink::{Found, Sink, Taken};
 use crate::tasks::{Plan, n_leaf_pairs};
 use crate::write::{WrittenMap, least_output_bytes, write};
 
@@ -122,12 +122,12 @@ pub fn build(
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
     require_disk(work.path(), least_output_bytes(input) + shares.mapped_bytes)?;
-    let n_pairs = starts.iter().map(|&(a, b)| n_leaf_pairs(tree, a, b)).sum();
-    watch.stage("visibility", Some(n_pairs), "pairs");
+    watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
-    let ground = Ground::new(tree, options.profile, shares.sheets_bytes, folder, watch)?;
+    let ground = Ground::new(tree, options.profile, shares.sheets_bytes, folder)?;
     let scene = ground.scene(tree, options.profile);
+    watch.advance(tree.nodes.len() as u64);
     let plan = match &begun {
         Some(begun) => {
             let target = shares.require_tasks(begun.target())?;
@@ -135,7 +135,6 @@ pub fn build(
         }
         None => Plan::new(&scene, &starts, &shares.plan)?,
     };
-    watch.check()?;
     saved.target = plan.target;
     let mut runs = Runs::new(work.path(), shares.runs_bytes);
     let mut statuses = vec![None; plan.tasks.len()];
@@ -144,8 +143,8 @@ pub fn build(
     let n_tasks_resumed = statuses.iter().flatten().count() as u64;
     let full_links = shares.plan.task_links as usize;
     let sink = Sink::new(runs, statuses, journal, full_links, options.checkpoint);
-    let counts = decide(&scene, n_pairs, &plan, &sink, watch)?;
-    let Decided { mut runs, statuses, journal, .. } = sink.into_decided();
+    let counts = decide(&scene, &starts, &plan, &sink, watch)?;
+    let Taken { mut runs, statuses, journal, .. } = sink.into_taken();
     let mut above = plan.combine(&statuses).peekable();
     while above.peek().is_some() {
         let mut links: Vec<Pair> = above.by_ref().take(MAX_LINKS_ABOVE).collect();
@@ -186,7 +185,6 @@ impl Ground {
         profile: Profile,
         sheets_bytes: u64,
         folder: Option<&Path>,
-        watch: &dyn Watch,
     ) -> Result<Ground, StoreError> {
         let nothing = Disc {
             centroid: [0; 3],
@@ -198,11 +196,8 @@ impl Ground {
         let mut discs = Table::new(tree.surfels.len(), nothing, folder)?;
         let all = discs.par_iter_mut().zip(&tree.surfels);
         all.for_each(|(disc, surfel)| *disc = disc_of(surfel, profile));
-        watch.check()?;
         let bounds = bounds::of_tree(tree, &discs, profile, folder)?;
-        watch.check()?;
         let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
-        watch.check()?;
         let families = candidates::families(tree, &bounds, &sheets, folder)?;
         Ok(Ground { discs, bounds, sheets, families })
     }
@@ -213,30 +208,29 @@ impl Ground {
     }
 }
 
-/// Decides all tasks that are not done, out of so many leaf pairs in all.
+/// Decides all tasks that are not done.
 fn decide(
     scene: &Scene<'_>,
-    n_pairs: u64,
+    starts: &[Pair],
     plan: &Plan,
     sink: &Sink,
     watch: &dyn Watch,
 ) -> Result<Counts, VisibilityError> {
     let n_tasks = plan.tasks.len() as u64;
     let (open, n_links_before) = {
-        let decided = sink.lock();
-        let is_open = |&i: &u32| decided.statuses[i as usize].is_none();
+        let taken = sink.lock();
+        let is_open = |&i: &u32| taken.statuses[i as usize].is_none();
         let mut open = Vec::with_capacity(plan.tasks.len());
         open.extend((0..plan.tasks.len() as u32).filter(is_open));
-        (open, decided.runs.n_pairs())
+        (open, taken.runs.n_pairs())
     };
     let n_resumed = n_tasks - open.len() as u64;
     if n_resumed > 0 {
         watch.note(&format!("resuming: {n_resumed} of {n_tasks} tasks are done"));
     }
-    let n_pairs_of = |task: u32| {
-        let (a, b) = plan.tasks[task as usize];
-        n_leaf_pairs(scene.tree, a, b)
-    };
+    let n_pairs_of = |task: u32| n_leaf_pairs(scene.tree, plan.tasks[task as usize]);
+    let n_pairs = starts.iter().map(|&pair| n_leaf_pairs(scene.tree, pair)).sum();
+    watch.stage("visibility", Some(n_pairs), "pairs");
     // What the plan settled by facing needs no task, and what is done needs none any more.
     watch.advance(n_pairs - open.iter().map(|&task| n_pairs_of(task)).sum::<u64>());
     watch.tasks(n_resumed, n_tasks, n_links_before);
@@ -247,7 +241,9 @@ fn decide(
     // Each task can be stolen: rayon's own pieces of a list last minutes where tasks do.
     let outcome = open.par_iter().with_max_len(1).try_for_each(|&task| {
         watch.check()?;
-        let thread = rayon::current_thread_index().expect("a thread of the pool");
+        // Outside a pool one thread does it all. No two threads have the same worker, so nobody
+        // waits for it.
+        let thread = rayon::current_thread_index().unwrap_or(0);
         let mut worker = workers[thread].lock().unwrap_or_else(PoisonError::into_inner);
         let Worker { decider, found } = &mut *worker;
         let n_before = found.links.len();
@@ -284,7 +280,8 @@ fn decide(
     Ok(counts)
 }
 
-/// What a thread of the pool decides with, and what it found.
+/// What a thread of the pool decides with, and what it found; no two share a line of a cache.
+#[repr(align(128))]
 struct Worker<'a> {
     decider: Decider<'a>,
     found: Found,
@@ -321,8 +318,8 @@ fn settle(
     settled?;
     match outcome {
         Err(VisibilityError::Store(StoreError::Interrupted)) => {
-            let decided = sink.lock();
-            Err(decided.journal.stopped(decided.statuses.iter().flatten().count() as u64))
+            let taken = sink.lock();
+            Err(taken.journal.stopped(taken.statuses.iter().flatten().count() as u64))
         }
         outcome => outcome,
     }

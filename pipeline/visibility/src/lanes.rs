@@ -1,8 +1,11 @@
 //! What loops over lanes share. A lane loop runs over arrays of fixed length and has no branches,
 //! so that the compiler can use what the processor has.
 
-/// What moves a number in f32 to the safe side of some roundings.
-pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 18) as f32;
+/// What rounds a radius or a length in f32 outward: by sixteen roundings of 2^-24.
+pub(crate) const OUTWARD: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
+
+/// What makes up for the roundings of a comparison of products in f32: for 64 of them.
+pub(crate) const WIDER: f32 = 1.0 + 1.0 / (1u32 << 18) as f32;
 
 /// Walks the bits of a mask, lowest first.
 pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = usize> {

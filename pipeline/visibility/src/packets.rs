@@ -26,7 +26,7 @@
 //! - R_a·(|w| - 4·δ) ≤ (|P| + δ)·D, with D at least the length of every segment: it does so beyond
 //!   the disc of the near end; likewise with Q of the far end.
 //!
-//! Radii and D are rounded outward by 2^-18 of their size, which covers the roundings left.
+//! Radii and D are rounded outward by 2^-20 of their size, which covers the roundings left.
 
 use multiversion::multiversion;
 use pvmap_geometry::Box3;

@@ -365,7 +365,7 @@ mod tests {
             // For all sheets, or for one.
             let memory_bytes = if n % 8 == 1 { Sheets::A_SHEET_BYTES } else { u64::MAX };
             let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile, folder).unwrap();
-            let sheets = Sheets::all(&grown.tree, &grown.discs, &bounds, memory_bytes);
+            let (sheets, _) = Sheets::all(&grown.tree, &grown.discs, &bounds, memory_bytes);
             let families = families(&grown.tree, &bounds, &sheets, folder).unwrap();
             Stage { grown, profile, bounds, sheets, families }
         }
@@ -419,7 +419,7 @@ mod tests {
     #[test]
     fn d6_every_way_to_settle_a_pair_is_brute_force() {
         let n_trees = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 2000 } else { 120 };
-        for block_pairs in [1, 4, 16, BLOCK_PAIRS] {
+        for block_pairs in [1, 4, 16, BLOCK_PAIRS, SHEET_BLOCK_PAIRS] {
             let mut settled = Settled::default();
             let (mut n_statuses, mut counts) = ([0; 3], Counts::default());
             for seed in 0..n_trees {
@@ -452,6 +452,40 @@ mod tests {
             // A tree of some hundred leaves is settled whole in blocks of the usual size.
             let n_least = if block_pairs < BLOCK_PAIRS { 1000 } else { 0 };
             assert!(ways.into_iter().chain(n_statuses).all(|n| n >= n_least), "a way not tried");
+        }
+    }
+
+    #[test]
+    fn sheets_are_asked_where_most_surfels_are_in_them() {
+        let rng = &mut Rng::with_seed(7);
+        let step = 1 << 16;
+        let disc = |centroid: [i32; 3], normal| Disc {
+            centroid,
+            normal,
+            two_sided: false,
+            radius2: 1 << 32,
+            limit: Box3::at(centroid).grown(step / 2),
+        };
+        let wall = |i: i32| {
+            disc([step, (2 * (i % 16) + 1) * step, (2 * (i / 16) + 1) * step], [1 << 14, 0, 0])
+        };
+        for (n_others, memory_bytes, are_asked) in [
+            (0, u64::MAX, true),
+            (60, u64::MAX, true),
+            (150, u64::MAX, false),
+            // What counts is what there is, not what there is room for.
+            (60, Sheets::A_SHEET_BYTES, true),
+            (60, 0, false),
+        ] {
+            let other = |_| {
+                let normal = [0; 3].map(|_| rng.i64(-9..=9));
+                disc([0; 3].map(|_| rng.i32(4..60) * step), normal::rescale(normal))
+            };
+            let discs = (0..256).map(wall).chain((0..n_others).map(other)).collect();
+            let Grown { tree, discs, .. } = Grown::new(discs, true, 0);
+            let bounds = bounds::of_tree(&tree, &discs, Profile::Patch, None).unwrap();
+            let sheets = Sheets::new(&tree, &discs, &bounds, memory_bytes);
+            assert_eq!(!sheets.is_empty(), are_asked, "{n_others} others, {memory_bytes} bytes");
         }
     }
 

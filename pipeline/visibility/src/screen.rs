@@ -22,13 +22,13 @@
 //! **The bound of f32.** Places are exact: boxes end on half steps below 2^22. A share t is off by
 //! less than 2^-21, so a place by less than `PLACE_SLACK` steps, by which boxes and distances are
 //! on the safe side. What heights are off by is part of a surface's `reach`. Comparisons of
-//! products carry factors of `OUTWARD`.
+//! products carry factors of `WIDER`.
 
 use multiversion::multiversion;
 use pvmap_geometry::disc::{Disc, Profile};
 
 use crate::ends::{Ends, MAX_ENDS};
-use crate::lanes::{OUTWARD, bits, dot32, greater, less, union_of};
+use crate::lanes::{WIDER, bits, dot32, greater, less, union_of};
 use crate::sheets::{
     Detail, MAX_SURFELS, MIDWAY, NOBODY, PLACE_SLACK, Plates, SIDE, SIDE_BITS, Sheet, UNITS,
 };
@@ -220,7 +220,7 @@ fn near_groups(sheet: &Sheet, detail: &Detail, (rows, g): (&Seen, usize), column
             way[i] = greater(b_high - a_low[i], a_high[i] - b_low);
         }
         let away = greater(beyond[k], distance_of(cell[k]) * sheet.cell - extent[k]);
-        let reach = slab * OUTWARD * greater(way[0], way[1]);
+        let reach = slab * WIDER * greater(way[0], way[1]);
         let off = (width[k] > 0.0) & (width[k] * (away - 2.0 * PLACE_SLACK) > reach);
         let above = (fa_low > slab) & (fb_low > slab);
         let below = (fa_high < -slab) & (fb_high < -slab);
@@ -229,7 +229,7 @@ fn near_groups(sheet: &Sheet, detail: &Detail, (rows, g): (&Seen, usize), column
         // From the end that is in the slab, how far it is until the segment is out of it.
         let up_a = if fb_low > 0.0 { fa_low } else { -fa_high };
         let up_b = if fa_low > 0.0 { fb_low } else { -fb_high };
-        let length = dot32(way, way).sqrt() * OUTWARD;
+        let length = dot32(way, way).sqrt() * WIDER;
         let safe = width[k] - ROUNDING;
         let spared_a = out_b & ((slab - up_a) * length <= r_a * safe);
         let spared_b = out_a & ((slab - up_b) * length <= columns.spared[k] * safe);
@@ -332,8 +332,8 @@ fn ask_lanes(sheet: &Sheet, detail: &Detail, segments: &Segments, asked: u32) ->
         let (d, here, there) = (segments.way(k), parts.here[k], parts.there[k]);
         let away = distance_of(cell[k]) * sheet.cell;
         let fall = (here - there).abs();
-        let slab = (sheet.surface.reach + parts.sag[k]) * OUTWARD;
-        let reach = slab * parts.length[k] * greater(d[0].abs(), d[1].abs()) * OUTWARD;
+        let slab = (sheet.surface.reach + parts.sag[k]) * WIDER;
+        let reach = slab * parts.length[k] * greater(d[0].abs(), d[1].abs()) * WIDER;
         let through = (here * there < 0.0) & (here.abs() > slab) & (there.abs() > slab);
         off[k] = if fall * (away - PLACE_SLACK) > reach { 1 << k } else { 0 };
         within[k] = if through & (fall * (-away - PLACE_SLACK) > reach) { 1 << k } else { 0 };
@@ -408,23 +408,25 @@ fn pierced(plates: &Plates, cell: &[u32; LANES], segments: &Segments) -> u32 {
         let delta = size / (1u32 << 21) as f32;
         let slack = 2.0 * size * size / (1u32 << 18) as f32;
         let width = (here - there).abs();
-        let (least, most) = (width - 4.0 * delta, (width + 4.0 * delta) * OUTWARD);
+        let (least, most) = (width - 4.0 * delta, (width + 4.0 * delta) * WIDER);
         let e =
             [here * q[0] - there * p[0], here * q[1] - there * p[1], here * q[2] - there * p[2]];
         let sign = if here > there { 1.0 } else { -1.0 };
-        let mut inside = radius[k] * least - dot32(e, e).sqrt() * OUTWARD;
+        let mut inside = radius[k] * least - dot32(e, e).sqrt() * WIDER;
         for i in 0..3 {
             let out = sign * e[i];
             inside = less(inside, less(high[i][k] * least - out, out - low[i][k] * least));
         }
         let d = segments.way(k);
-        let length = dot32(d, d).sqrt() / OUTWARD;
+        let length = dot32(d, d).sqrt() / WIDER;
         let sure = (here * there < 0.0)
             & (here.abs() > delta)
             & (there.abs() > delta)
             & (inside > slack)
-            & ((here.abs() - delta) * length > spared_a[k] * OUTWARD * most)
-            & ((there.abs() - delta) * length > spared_b[k] * OUTWARD * most)
+            // A factor undoes that spared radii are rounded inward; those of `most` and `length`
+            // leave room for the roundings.
+            & ((here.abs() - delta) * length > spared_a[k] * WIDER * most)
+            & ((there.abs() - delta) * length > spared_b[k] * WIDER * most)
             & (cell[k] & NOBODY != NOBODY);
         pierced[k] = if sure { 1 << k } else { 0 };
     }

@@ -13,7 +13,7 @@ use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds};
-use crate::lanes::{OUTWARD, greater, less};
+use crate::lanes::{WIDER, greater, less};
 use crate::surface::{Patch, Surface};
 
 /// Most and least surfels of a sheet.
@@ -99,17 +99,23 @@ impl Sheets {
     /// Bytes for each inner node, which are not among those of the sheets.
     pub(crate) const A_FAMILY_BYTES: usize = size_of::<u32>();
 
-    /// Finds the sheets of a tree where they pay: where most surfels are in sheets. In a room all
-    /// but the edges are; among trees and on statues asking them takes longer than it saves.
+    /// Finds the largest sheets of a tree where they pay: where three quarters of the surfels are in
+    /// sheets. In a room all but the edges are; among trees and on statues asking them takes longer
+    /// than it saves. Families are numbered as inner nodes are. Where `memory_bytes` do not hold
+    /// all sheets, those of few surfels are left out.
     pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
-        let sheets = Sheets::all(tree, discs, bounds, memory_bytes);
-        let n_surfels: usize = sheets.sheets.iter().map(|sheet| sheet.surfels.len()).sum();
-        if 4 * n_surfels >= 3 * discs.len() { sheets } else { Sheets::default() }
+        let (sheets, n_in_sheets) = Sheets::all(tree, discs, bounds, memory_bytes);
+        if 4 * n_in_sheets >= 3 * discs.len() { sheets } else { Sheets::default() }
     }
 
-    /// Finds the largest sheets of a tree. Families are numbered as inner nodes are. Where
-    /// `memory_bytes` do not hold all of them, those of few surfels are left out.
-    pub(crate) fn all(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
+    /// Finds the largest sheets of any tree; also counts the surfels of all, those that are left
+    /// out included.
+    pub(crate) fn all(
+        tree: &Tree,
+        discs: &[Disc],
+        bounds: &[Bounds],
+        memory_bytes: u64,
+    ) -> (Sheets, usize) {
         let max_sheets = usize::try_from(memory_bytes / Self::A_SHEET_BYTES).unwrap_or(usize::MAX);
         // There cannot be more of them.
         let n_most = discs.len() / MIN_SURFELS;
@@ -132,15 +138,17 @@ impl Sheets {
             of_family: Vec::with_capacity(tree.nodes.len() - discs.len()),
             sheets: Vec::with_capacity(n_most.min(max_sheets)),
         };
+        let mut n_in_sheets = 0;
         each_sheet(tree, discs, bounds, |sheet| {
             let n_sheets = sheets.sheets.len();
+            n_in_sheets += sheet.as_ref().map_or(0, |sheet| sheet.surfels.len());
             let fits = |sheet: &Sheet| n_sheets < max_sheets && sheet.surfels.len() >= least;
             let sheet = sheet.filter(fits);
             // There are fewer sheets than surfels.
             sheets.of_family.push(sheet.as_ref().map_or(NO_SHEET, |_| n_sheets as u32));
             sheets.sheets.extend(sheet);
         });
-        sheets
+        (sheets, n_in_sheets)
     }
 
     /// Says whether there is none.
@@ -234,7 +242,7 @@ impl Sheet {
                 plates.low[i][k] = (disc.limit.min[axis] - c) as f32;
                 plates.high[i][k] = (disc.limit.max[axis] - c) as f32;
             }
-            plates.radius[k] = (disc.radius2 as f32).sqrt() / OUTWARD;
+            plates.radius[k] = (disc.radius2 as f32).sqrt() / WIDER;
         }
         plates
     }
@@ -296,9 +304,9 @@ impl Sheet {
     fn deepen(&self, disc: &Disc, iu: Range<usize>, iv: Range<usize>, depths: &mut [f32]) {
         let n = self.axes.map(|i| f32::from(disc.normal[i]));
         let [p, q] = [-n[0] / n[2], -n[1] / n[2]];
-        let radius = (disc.radius2 as f32).sqrt() / OUTWARD;
+        let radius = (disc.radius2 as f32).sqrt() / WIDER;
         // How much farther from the centroid, and higher, a step along u and v can lead.
-        let stretch = (2.0 * (1.0 + p * p + q * q)).sqrt() * OUTWARD;
+        let stretch = (2.0 * (1.0 + p * p + q * q)).sqrt() * WIDER;
         let climb = greater(p.abs() + q.abs(), 1.0 / 1024.0);
         let fine = self.cell / SPLIT as f32;
         let low = self.axes.map(|i| (disc.limit.min[i] - disc.centroid[i]) as f32);
@@ -310,7 +318,7 @@ impl Sheet {
                 let x = (u as f32 + 0.5) * fine - c[0];
                 let w = p * x + q * y;
                 let flat = less(less(x - low[0], high[0] - x), less(y - low[1], high[1] - y));
-                let round = (radius - (x * x + y * y + w * w).sqrt() * OUTWARD) / stretch;
+                let round = (radius - (x * x + y * y + w * w).sqrt() * WIDER) / stretch;
                 let upright = (less(w - low[2], high[2] - w) - PLACE_SLACK) / climb;
                 let depth = less(less(flat, round), upright) - fine / 2.0 - PLACE_SLACK;
                 let noted = &mut depths[v * FINE + u];

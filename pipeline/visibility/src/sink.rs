@@ -1,4 +1,4 @@
-//! Where the links of tasks go until they are written: into buffers, one for each decider at work;
+//! Where the links of tasks go until they are written: into buffers, one for each thread;
 //! from there as sorted runs into memory; and from there, with the tasks they belong to, to disk.
 //! The last happens when memory is full, when it was long ago, and when the run has to end.
 
@@ -24,9 +24,9 @@ pub(crate) struct Found {
     epoch: u64,
 }
 
-/// What is decided by now.
+/// What was taken by now.
 #[derive(Debug)]
-pub(crate) struct Decided {
+pub(crate) struct Taken {
     /// Sorted runs of links.
     pub(crate) runs: Runs,
     /// The status of each task that is done.
@@ -39,17 +39,17 @@ pub(crate) struct Decided {
     failure: Option<StoreError>,
 }
 
-impl Decided {
+impl Taken {
     /// Makes durable all that came here so far, and `more`.
     fn commit(&mut self, more: &[Pair]) -> Result<(), StoreError> {
         self.journal.commit(&mut self.runs, more, &mut self.waiting)
     }
 
     /// Does something that writes, unless that failed before. Who fails is told to stop; the reason
-    /// is decided for [`Sink::failure`].
+    /// is kept for [`Sink::failure`].
     fn write(
         &mut self,
-        step: impl FnOnce(&mut Decided) -> Result<(), StoreError>,
+        step: impl FnOnce(&mut Taken) -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
         if self.failure.is_none() {
             self.failure = step(self).err();
@@ -61,7 +61,7 @@ impl Decided {
 /// Collects what deciders find.
 #[derive(Debug)]
 pub(crate) struct Sink {
-    decided: Mutex<Decided>,
+    taken: Mutex<Taken>,
     /// Links a buffer keeps before it is sorted and put away.
     full_links: usize,
     checkpoint: Duration,
@@ -81,7 +81,7 @@ impl Sink {
         checkpoint: Duration,
     ) -> Sink {
         let sink = Sink {
-            decided: Mutex::new(Decided {
+            taken: Mutex::new(Taken {
                 runs,
                 statuses,
                 journal,
@@ -107,11 +107,11 @@ impl Sink {
     pub(crate) fn take_when_due(&self, found: &mut Found) -> Result<(), StoreError> {
         if self.is_due() {
             found.links.sort_unstable();
-            let mut decided = self.lock();
+            let mut taken = self.lock();
             // Another thread may have been quicker.
             let is_due = self.is_due();
-            self.put(&mut decided, found)?;
-            return if is_due { self.commit(&mut decided) } else { Ok(()) };
+            self.put(&mut taken, found)?;
+            return if is_due { self.commit(&mut taken) } else { Ok(()) };
         }
         let is_full = found.links.len() >= self.full_links || found.tasks.len() >= MAX_WAITING;
         if is_full || found.epoch != self.epoch.load(Ordering::Relaxed) {
@@ -137,40 +137,40 @@ impl Sink {
         self.lock().failure.take()
     }
 
-    /// Gives what is decided by now.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Decided> {
-        self.decided.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Gives what was taken by now.
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Taken> {
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn into_decided(self) -> Decided {
-        self.decided.into_inner().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn into_taken(self) -> Taken {
+        self.taken.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Puts sorted links away.
-    fn put(&self, decided: &mut Decided, found: &mut Found) -> Result<(), StoreError> {
+    fn put(&self, taken: &mut Taken, found: &mut Found) -> Result<(), StoreError> {
         let mut is_committed = false;
-        decided.write(|decided| {
-            decided.waiting.extend_from_slice(&found.tasks);
-            if decided.runs.has_room_for(&found.links) {
-                decided.runs.push(&found.links)
+        taken.write(|taken| {
+            taken.waiting.extend_from_slice(&found.tasks);
+            if taken.runs.has_room_for(&found.links) {
+                taken.runs.push(&found.links)
             } else {
                 is_committed = true;
-                decided.commit(&found.links)
+                taken.commit(&found.links)
             }
         })?;
         if is_committed {
             self.set_due();
         }
         for (task, status) in found.tasks.drain(..) {
-            decided.statuses[task as usize] = Some(status);
+            taken.statuses[task as usize] = Some(status);
         }
         found.links.clear();
         found.epoch = self.epoch.load(Ordering::Relaxed);
-        if decided.waiting.len() >= MAX_WAITING { self.commit(decided) } else { Ok(()) }
+        if taken.waiting.len() >= MAX_WAITING { self.commit(taken) } else { Ok(()) }
     }
 
-    fn commit(&self, decided: &mut Decided) -> Result<(), StoreError> {
-        decided.write(|decided| decided.commit(&[]))?;
+    fn commit(&self, taken: &mut Taken) -> Result<(), StoreError> {
+        taken.write(|taken| taken.commit(&[]))?;
         self.epoch.fetch_add(1, Ordering::Relaxed);
         self.set_due();
         Ok(())

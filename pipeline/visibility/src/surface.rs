@@ -1,6 +1,6 @@
 //! Curved surfaces that neighbouring surfels lie along.
 
-use crate::lanes::OUTWARD;
+use crate::lanes::WIDER;
 
 /// Steepest slope of a surface and of its surfels.
 const STEEPEST: f64 = 4.0;
@@ -86,7 +86,7 @@ impl Surface {
             most = most.max((w - over).abs() + change);
         }
         let size = (1.0 + p.abs() + q.abs() + (a.abs() + b.abs() + c.abs()) * GRID) * GRID;
-        self.reach = (most + 16.0 + size / f64::from(1 << 16)) as f32 * OUTWARD;
+        self.reach = (most + 16.0 + size / f64::from(1 << 16)) as f32 * WIDER;
         self
     }
 }

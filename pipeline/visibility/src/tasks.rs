@@ -79,7 +79,7 @@ impl Plan {
         starts: &[Pair],
         limits: &PlanLimits,
     ) -> Result<Plan, StoreError> {
-        let total: u64 = starts.iter().map(|&(a, b)| n_leaf_pairs(scene.tree, a, b)).sum();
+        let total: u64 = starts.iter().map(|&pair| n_leaf_pairs(scene.tree, pair)).sum();
         let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
         let target = (total / TASKS).max(MIN_TASK_PAIRS).min(most);
         Plan::with_target(scene, starts, target, limits)
@@ -191,7 +191,7 @@ fn decided_by(scene: &Scene<'_>, (a, b): Pair, target: u64) -> By {
     let most = if a == b { target.min(MAX_SIBLINGS_PAIRS) } else { target };
     if a != b && scene.facing(a, b) == Facing::Never {
         By::Facing
-    } else if n_leaf_pairs(scene.tree, a, b) <= most {
+    } else if n_leaf_pairs(scene.tree, (a, b)) <= most {
         By::Task
     } else {
         By::Children
@@ -218,7 +218,7 @@ fn child_pairs<'a>(scene: &Scene<'a>, (a, b): Pair) -> impl Iterator<Item = Pair
 }
 
 /// Counts the leaf pairs under a node pair, or of a node with itself those of siblings under it.
-pub fn n_leaf_pairs(tree: &Tree, a: u32, b: u32) -> u64 {
+pub fn n_leaf_pairs(tree: &Tree, (a, b): Pair) -> u64 {
     let n = |id: u32| {
         let node = &tree.nodes[id as usize];
         u64::from(node.end_surfel - node.first_surfel)
