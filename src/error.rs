@@ -69,7 +69,9 @@ impl Error {
             Error::Visibility(VisibilityError::Store(e)) => of_store(e),
             Error::Artifact { source, .. }
             | Error::Octree(OctreeError::Format(source))
-            | Error::Query(QueryError::Format(source)) => of_format(source),
+            | Error::Query(QueryError::Format(source) | QueryError::Octree(source)) => {
+                of_format(source)
+            }
             Error::Octree(OctreeError::TooManyNodes) | Error::Config(_) => 78,
             Error::Octree(OctreeError::Columns { .. } | OctreeError::Lost { .. }) => 70,
             Error::Visibility(VisibilityError::Compress(_) | VisibilityError::Panicked(_)) => 70,

@@ -55,9 +55,24 @@ pub enum QueryError {
     /// The snap distance is no distance.
     #[error("the snap distance {0} is negative or not a number; give one of 0 or more")]
     SnapDistance(f64),
+    /// Δ of the point-exact test is no distance. [V-7]
+    #[error("the distance {0} to occluders is negative or not a number; give one of 0 or more")]
+    Delta(f64),
+    /// The octree has no points.
+    #[error("the octree has no points; ask one of another scan")]
+    NoPoints,
+    /// The map was made from another octree. [D-8]
+    #[error(
+        "the map was not made from this octree: its points are others; give the octree it was \
+         built from, or build a map of this one"
+    )]
+    OtherOctree,
     /// The map cannot be read.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// The octree cannot be read.
+    #[error(transparent)]
+    Octree(FormatError),
 }
 
 /// Whom an error concerns.
@@ -69,13 +84,20 @@ pub enum ErrorKind {
     Place,
     /// The map file.
     Map,
+    /// The octree, or that it is not the map's.
+    Octree,
 }
 
 impl QueryError {
     /// Says whom the error concerns.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            QueryError::Normal { .. } | QueryError::SnapDistance(_) => ErrorKind::Usage,
+            QueryError::Normal { .. } | QueryError::SnapDistance(_) | QueryError::Delta(_) => {
+                ErrorKind::Usage
+            }
+            QueryError::NoPoints | QueryError::OtherOctree | QueryError::Octree(_) => {
+                ErrorKind::Octree
+            }
             QueryError::OutsideCube { .. } | QueryError::NoSurface { .. } => ErrorKind::Place,
             QueryError::Empty | QueryError::Format(_) => ErrorKind::Map,
         }

@@ -6,12 +6,14 @@
 //! map. The room opens no file and prints nothing; it reads
 //! only the blocks a question needs, trusts no byte of them, and a [`Map`] may be asked from many
 //! threads at once. Decoded links are kept in a cache of fixed size (`frames`), so a batch of any
-//! length takes bounded memory.
+//! length takes bounded memory. [`exact::Exact`] puts the same question to the points of the
+//! octree instead ([V-7]).
 //!
 //! Start reading at [`Map`], then [`Map::locate`] and [`Map::pair`].
 
 mod batch;
 mod error;
+pub mod exact;
 mod frames;
 mod locate;
 mod map;

@@ -5,7 +5,7 @@ use std::collections::BinaryHeap;
 
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::{self, Normal};
-use pvmap_geometry::{Box3, GridPoint, grid};
+use pvmap_geometry::{Box3, Frame, GridPoint, grid};
 use pvmap_vmap::tree::{Nodes, RoutingKey, route};
 use pvmap_vmap::{FormatError, Node, Surfel};
 
@@ -45,9 +45,27 @@ pub struct Located {
 
 /// A place on the grid, with its quantised normal.
 #[derive(Debug, Clone, Copy)]
-struct Target {
-    g: GridPoint,
-    normal: Option<Normal>,
+pub(crate) struct Target {
+    pub(crate) g: GridPoint,
+    pub(crate) normal: Option<Normal>,
+}
+
+/// Leads a place onto the grid.
+pub(crate) fn target_of(frame: &Frame, place: &Place) -> Result<Target, QueryError> {
+    let Place { position, normal } = *place;
+    let g = frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
+        place: position,
+        min: frame.world_of_real([0.0; 3]),
+        max: frame.world_of_real([f64::from(grid::GRID_MAX); 3]),
+    })?;
+    let quantised = match normal {
+        None => None,
+        Some(normal) => {
+            let no_direction = QueryError::Normal { place: position, normal };
+            Some(normal::quantise(normal).ok_or(no_direction)?)
+        }
+    };
+    Ok(Target { g, normal: quantised })
 }
 
 /// How well a surfel answers for a place, the best first: [V-8]'s order word by word.
@@ -87,7 +105,7 @@ impl Map<'_> {
         {
             return Err(QueryError::SnapDistance(distance));
         }
-        let target = self.target_of(place)?;
+        let target = target_of(&self.view().frame().frame, place)?;
         let found = match self.routed(&target)? {
             Some(found) => found,
             None => match self.best(&target, |node| holds(node, target.g).then_some(0))? {
@@ -96,25 +114,6 @@ impl Map<'_> {
             },
         };
         self.within(place, snap, &found)
-    }
-
-    /// Leads a place onto the grid.
-    fn target_of(&self, place: &Place) -> Result<Target, QueryError> {
-        let Place { position, normal } = *place;
-        let frame = &self.view().frame().frame;
-        let g = frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
-            place: position,
-            min: frame.world_of_real([0.0; 3]),
-            max: frame.world_of_real([f64::from(grid::GRID_MAX); 3]),
-        })?;
-        let quantised = match normal {
-            None => None,
-            Some(normal) => {
-                let no_direction = QueryError::Normal { place: position, normal };
-                Some(normal::quantise(normal).ok_or(no_direction)?)
-            }
-        };
-        Ok(Target { g, normal: quantised })
     }
 
     /// Finds the leaf that would hold a stored point like this one.

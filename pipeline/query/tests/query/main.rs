@@ -3,7 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod common;
+mod exact;
 mod hostile;
 mod locate;
+mod octree;
 mod pair;
 mod speed;
