@@ -340,6 +340,36 @@ fn points_out_of_order_are_an_error_and_never_a_panic() {
 }
 
 #[test]
+fn d12_a_flipped_bit_is_an_error_or_changes_no_answer() {
+    let mut rng = Rng::with_seed(76);
+    let cloud = random_cloud(&mut rng, 100);
+    let sound = octree_file(&cloud);
+    let ends = [0, 1, 2, 3, 4].map(|_| rng.u64(..cloud.len() as u64));
+    let answers = |bytes: &[u8]| -> Result<Vec<Verdict>, QueryError> {
+        let octree = OctreeView::open(bytes)?;
+        let exact = Exact::new(&octree, options(1 << 10, 2));
+        let points = ends.iter().map(|&i| exact.point(i)).collect::<Result<Vec<_>, _>>()?;
+        let place = Place { position: points[0].g().map(f64::from), normal: None };
+        let points = [&points[..], &[exact.nearest(&place)?.point]].concat();
+        let pairs = points.iter().flat_map(|&p| points.iter().map(move |&q| (p, q)));
+        exact.pairs(&pairs.collect::<Vec<_>>()).into_iter().collect()
+    };
+    let expected = answers(&sound).unwrap();
+    assert!(expected.iter().any(|v| v.visible) && expected.iter().any(|v| !v.visible));
+    let mut n_refused = 0;
+    for at in 0..sound.len() {
+        let mut flipped = sound.clone();
+        flipped[at] ^= 1 << rng.u32(..8);
+        match answers(&flipped) {
+            Ok(same) => assert_eq!(same, expected, "byte {at}"),
+            Err(_) => n_refused += 1,
+        }
+    }
+    // What is read is refused; the padding between the sections is not read.
+    assert!(n_refused > sound.len() * 3 / 4, "{n_refused} of {}", sound.len());
+}
+
+#[test]
 fn pairs_in_parallel_and_one_by_one() {
     let mut rng = Rng::with_seed(74);
     let cloud = random_cloud(&mut rng, 300);
