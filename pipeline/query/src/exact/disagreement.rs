@@ -2,6 +2,8 @@
 
 use std::ops::AddAssign;
 
+use rayon::prelude::*;
+
 use super::{Exact, StoredPoint};
 use crate::error::QueryError;
 use crate::locate::Located;
@@ -62,10 +64,12 @@ pub fn compare(
 ) -> Result<Disagreement, QueryError> {
     exact.require_map(map)?;
     let leaves: Vec<_> = pairs.iter().map(|[(a, _), (b, _)]| (*a, *b)).collect();
-    let points: Vec<_> = pairs.iter().map(|[(_, p), (_, q)]| (*p, *q)).collect();
+    // A verdict may hold K occluders: only the yes or no of each is kept.
+    let ask = |[(_, p), (_, q)]: &LocatedPair| exact.pair(p, q).map(|verdict| verdict.visible);
+    let verdicts: Vec<_> = pairs.par_iter().map(ask).collect();
     let mut found = Disagreement::default();
-    for (leaf, exact) in map.pairs(&leaves).into_iter().zip(exact.pairs(&points)) {
-        found.count(leaf?.visible, exact?.visible);
+    for (leaf, exact) in map.pairs(&leaves).into_iter().zip(verdicts) {
+        found.count(leaf?.visible, exact?);
     }
     Ok(found)
 }

@@ -24,8 +24,8 @@ pub use self::nearest::Nearest;
 use crate::error::QueryError;
 use crate::map::Map;
 
-/// The greatest Δ that makes a difference: the cube's diagonal, below 1.74 · 2^22, is shorter, so
-/// every place of a segment is near its ends and nothing occludes anything. Its square is below
+/// A greater Δ makes no difference: the cube's diagonal, below 1.74 · 2^22, is shorter, so that
+/// every place of a segment is within Δ of its ends and nothing occludes. The square is below
 /// 2^46, which the exact tests have room for.
 const MAX_DELTA_GRID: u32 = (1 << 23) - 1;
 /// Limits nothing: every place of a segment of the cube is inside.
@@ -57,7 +57,7 @@ impl ExactOptions {
     }
 
     /// Proposes Δ and K for the scan of a map: the median spacing of its points, 2h of a leaf,
-    /// over a thousand leaves, and 2. A wall sampled evenly has π points within a spacing of a
+    /// over some thousand leaves, and 2. A wall sampled evenly has π points within a spacing of a
     /// place; a place on its rim half as many, so that 2 neither tear the wall nor widen it.
     ///
     /// # Errors
@@ -224,8 +224,8 @@ impl<'v, 'a> Exact<'v, 'a> {
         Ok(verdict)
     }
 
-    /// Decides many pairs; the answers are those of [`Exact::pair`], in order. Threads are those
-    /// of the current rayon pool.
+    /// Decides many pairs; the answers are those of [`Exact::pair`], in order. Each may hold K
+    /// occluders, so ask in pieces where K is large. Threads are those of the current rayon pool.
     pub fn pairs(
         &self,
         questions: &[(StoredPoint, StoredPoint)],
