@@ -257,7 +257,7 @@ fn f72_memory_that_is_not_given() {
     let kept = bench.path("a.octree/kept");
     copy_folder(&bench.path("a.vmap.build"), &kept);
     let mut codes = std::collections::BTreeMap::new();
-    let steps = if slow().is_some() { 200 } else { 24 };
+    let steps: u64 = if slow().is_some() { 200 } else { 24 };
     for step in 1..=steps {
         // From too little to begin with to enough.
         let n_bytes = (256 << 10) + step * (12 << 20) / steps;
