@@ -4,6 +4,7 @@
 //! stride, refuse nan and inf, hold every list in memory and read lines without a limit.
 
 mod header;
+pub(crate) mod mesh;
 mod rows;
 mod vertex;
 pub(crate) mod write;
