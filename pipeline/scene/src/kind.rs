@@ -53,15 +53,53 @@ impl FromStr for SceneKind {
     }
 }
 
-/// What can go wrong with a scene: only its name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+/// What can go wrong with a scene.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SceneError {
     /// No scene has that name.
-    #[error("{name:?}: no such scene; give one of empty, packed, furnished, cave")]
+    #[error("{name:?}: no such scene; give one of empty, packed, furnished, cave, cornell")]
     UnknownName {
         /// The name asked for.
         name: String,
     },
+    /// A triangle has a corner that is not there.
+    #[error("triangle {triangle} has corner {corner}, there are {n_corners}")]
+    NoCorner {
+        /// The triangle, from 0.
+        triangle: usize,
+        /// The index of its corner.
+        corner: u32,
+        /// How many corners there are.
+        n_corners: usize,
+    },
+    /// A corner is nowhere.
+    #[error("corner {corner} has a coordinate that is not finite or beyond 1e60")]
+    NoPlace {
+        /// The corner, from 0.
+        corner: u32,
+    },
+    /// A mesh is nothing.
+    #[error("not a mesh: none of its {n_triangles} triangles has an area")]
+    NoArea {
+        /// How many triangles there are.
+        n_triangles: usize,
+    },
+    /// A statue does not fit into its room.
+    #[error(
+        "statue {statue} does not fit {size_m} m long into the room, {most_m:.2} m is the most; \
+         give --size less"
+    )]
+    TooLarge {
+        /// Which statue, from 1.
+        statue: usize,
+        /// The longest side asked for.
+        size_m: f64,
+        /// The longest that fits.
+        most_m: f64,
+    },
+    /// A sphere is no mesh.
+    #[error("the scene has a sphere, which no triangles are")]
+    Round,
 }
 
 #[cfg(test)]

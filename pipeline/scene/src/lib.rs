@@ -2,7 +2,8 @@
 //!
 //! A scene is a list of surfaces (`shape`) in a tree of boxes (`bvh`): quads, triangles and
 //! spheres, each with a paint. The rooms are made of a few (`rooms`), the cave of some hundred
-//! thousand triangles around the void of an implicit field (`cave`, `noise`, `polygonise`).
+//! thousand triangles around the void of an implicit field (`cave`, `noise`, `polygonise`); models
+//! that others have read from files stand in a room as statues (`mesh`).
 //! Points are sampled from the surfaces in the order of a scanner or shuffled (`points`); the
 //! truth is asked of the surfaces themselves (`truth`), never of the points.
 //!
@@ -15,6 +16,7 @@
 mod bvh;
 mod cave;
 mod kind;
+mod mesh;
 mod noise;
 mod paint;
 mod points;
@@ -27,5 +29,6 @@ mod truth;
 mod vector;
 
 pub use kind::{SceneError, SceneKind};
+pub use mesh::{Mesh, Up};
 pub use points::{Points, Sample};
 pub use scene::Scene;

@@ -28,6 +28,26 @@ const BOX_TURN: [f64; 2] = [24.0 / 25.0, 7.0 / 25.0];
 const SPHERE_RADIUS_M: f64 = 0.9;
 const SPHERE_CENTRE_M: Vector = [3.9, 1.8, SPHERE_RADIUS_M];
 
+/// The longest side of a statue, where it fits and nothing else is asked for.
+pub(crate) const STATUE_M: f64 = 3.0;
+/// How far statues stay from the walls, the ceiling and half way from each other.
+const STATUE_GAP_M: f64 = 0.25;
+/// What statues are made of, one after the other: grey stone, weathered bronze, sandstone.
+const STATUES: [Paint; 3] =
+    [Paint::Plain([168, 160, 150]), Paint::Plain([112, 138, 124]), Paint::Plain([206, 172, 122])];
+
+/// Gives the middle of the foot of statue `i` of `n`, and the sides of the space it may fill.
+pub(crate) fn place_of_statue(i: usize, n: usize) -> ([f64; 2], Vector) {
+    let part_m = SIDE_M / n as f64;
+    let space_m = [part_m - 2.0 * STATUE_GAP_M, SIDE_M - 2.0 * STATUE_GAP_M, SIDE_M - STATUE_GAP_M];
+    ([part_m * (i as f64 + 0.5), 0.5 * SIDE_M], space_m)
+}
+
+/// Gives the paint of statue `i`.
+pub(crate) fn paint_of_statue(i: usize) -> Paint {
+    STATUES[i % STATUES.len()]
+}
+
 /// Builds the empty room.
 pub(crate) fn empty() -> Vec<Surface> {
     let mut room = vec![paint(Shape::Quad(level(FLOOR, 0.0)), WHITE)];
@@ -115,7 +135,7 @@ mod tests {
         for room in [empty(), packed(), furnished()] {
             assert_closed(room.iter().filter_map(|s| match &s.shape {
                 Shape::Quad(corners) => Some(&corners[..]),
-                Shape::Triangle(corners) => Some(&corners[..]),
+                Shape::Triangle(corners) | Shape::Smooth { corners, .. } => Some(&corners[..]),
                 Shape::Sphere { .. } => None,
             }));
         }

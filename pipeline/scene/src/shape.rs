@@ -9,6 +9,14 @@ pub(crate) enum Shape {
     Quad([Vector; 4]),
     /// A triangle; its corners run counter-clockwise as seen from the void.
     Triangle([Vector; 3]),
+    /// A triangle that stands for a bent piece: a point's normal comes from those at its corners,
+    /// of length 1. What it hides and who faces it is decided by the flat triangle.
+    Smooth {
+        /// As of a triangle.
+        corners: [Vector; 3],
+        /// A normal each.
+        normals: [[f32; 3]; 3],
+    },
     /// A whole sphere, seen from outside.
     Sphere {
         /// Its middle.
@@ -23,7 +31,7 @@ impl Shape {
     pub(crate) fn area(&self) -> f64 {
         match self {
             Shape::Quad(c) => length(plane_normal(c)),
-            Shape::Triangle(c) => 0.5 * length(plane_normal(c)),
+            Shape::Triangle(c) | Shape::Smooth { corners: c, .. } => 0.5 * length(plane_normal(c)),
             Shape::Sphere { radius_m, .. } => 4.0 * std::f64::consts::PI * radius_m * radius_m,
         }
     }
@@ -32,7 +40,9 @@ impl Shape {
     pub(crate) fn aspect(&self) -> f64 {
         match self {
             Shape::Quad([a, b, _, d]) => length(sub(*d, *a)) / length(sub(*b, *a)),
-            Shape::Triangle([a, b, c]) => length(sub(*c, *a)) / length(sub(*b, *a)),
+            Shape::Triangle([a, b, c]) | Shape::Smooth { corners: [a, b, c], .. } => {
+                length(sub(*c, *a)) / length(sub(*b, *a))
+            }
             Shape::Sphere { .. } => 1.0,
         }
     }
@@ -50,6 +60,11 @@ impl Shape {
                 let along = add_scaled(*a, s, sub(*b, *a));
                 (add_scaled(along, t, sub(*c, *a)), self.normal_at(*a))
             }
+            Shape::Smooth { corners: [a, b, c], normals } => {
+                let [s, t] = triangle_of_square(u, v);
+                let place = add_scaled(add_scaled(*a, s, sub(*b, *a)), t, sub(*c, *a));
+                (place, self.blended(normals, [1.0 - s - t, s, t]))
+            }
             Shape::Sphere { centre, radius_m } => {
                 let direction = sphere_of_square(u, v);
                 (add_scaled(*centre, *radius_m, direction), direction)
@@ -57,11 +72,18 @@ impl Shape {
         }
     }
 
+    /// Mixes normals of corners; where they cancel out, the flat normal stays.
+    fn blended(&self, normals: &[[f32; 3]; 3], shares: [f64; 3]) -> Vector {
+        let mixed =
+            [0, 1, 2].map(|i| (0..3).map(|k| shares[k] * f64::from(normals[k][i])).sum::<f64>());
+        if length(mixed) > 1e-3 { unit(mixed) } else { self.normal_at([0.0; 3]) }
+    }
+
     /// Gives the unit normal at a place of the surface.
     pub(crate) fn normal_at(&self, place: Vector) -> Vector {
         match self {
             Shape::Quad(c) => unit(plane_normal(c)),
-            Shape::Triangle(c) => unit(plane_normal(c)),
+            Shape::Triangle(c) | Shape::Smooth { corners: c, .. } => unit(plane_normal(c)),
             Shape::Sphere { centre, .. } => unit(sub(place, *centre)),
         }
     }
@@ -70,7 +92,7 @@ impl Shape {
     pub(crate) fn nearest(&self, p: Vector) -> Vector {
         match self {
             Shape::Quad(c) => nearest_of_polygon(c, p),
-            Shape::Triangle(c) => nearest_of_polygon(c, p),
+            Shape::Triangle(c) | Shape::Smooth { corners: c, .. } => nearest_of_polygon(c, p),
             Shape::Sphere { centre, radius_m } => {
                 let out = sub(p, *centre);
                 // Every place is equally near to the centre; the pole stands for them.
@@ -89,7 +111,7 @@ impl Shape {
     pub(crate) fn crosses(&self, p: Vector, q: Vector) -> bool {
         match self {
             Shape::Quad(c) => polygon_crosses(c, p, q),
-            Shape::Triangle(c) => polygon_crosses(c, p, q),
+            Shape::Triangle(c) | Shape::Smooth { corners: c, .. } => polygon_crosses(c, p, q),
             Shape::Sphere { centre, radius_m } => {
                 let (d, out) = (sub(q, p), sub(p, *centre));
                 let t = -dot(out, d) / dot(d, d);
@@ -108,7 +130,7 @@ impl Shape {
         };
         match self {
             Shape::Quad(c) => around(c),
-            Shape::Triangle(c) => around(c),
+            Shape::Triangle(c) | Shape::Smooth { corners: c, .. } => around(c),
             Shape::Sphere { centre, radius_m } => {
                 (centre.map(|v| v - radius_m), centre.map(|v| v + radius_m))
             }

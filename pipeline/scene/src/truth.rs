@@ -28,11 +28,15 @@ impl Scene {
     /// Symmetric, bit for bit. The decision is in f64: it is exact but for segments that pass a
     /// silhouette within rounding, some 1e-15 of the extent.
     pub fn sees(&self, a: &Sample, b: &Sample) -> bool {
-        let d = sub(b.position, a.position);
-        let faces = dot(a.normal.map(f64::from), d) > 0.0 && dot(b.normal.map(f64::from), d) < 0.0;
         // In one order whoever asks, so that rounding cannot tell (a, b) from (b, a).
         let (p, q) = if a.position <= b.position { (a, b) } else { (b, a) };
-        faces && !self.is_blocked(p.position, q.position)
+        Scene::faces(a, b) && !self.is_blocked(p.position, q.position)
+    }
+
+    /// Says whether two samples face each other, whatever is between them.
+    pub fn faces(a: &Sample, b: &Sample) -> bool {
+        let d = sub(b.position, a.position);
+        dot(a.normal.map(f64::from), d) > 0.0 && dot(b.normal.map(f64::from), d) < 0.0
     }
 
     /// Says whether two places near the surfaces, such as stored and rounded points, see each
@@ -98,7 +102,9 @@ mod tests {
             (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| dot(ac, along) / scale)
         };
         match *shape {
-            Shape::Triangle(corners) => triangle(corners).into_iter().collect(),
+            Shape::Triangle(corners) | Shape::Smooth { corners, .. } => {
+                triangle(corners).into_iter().collect()
+            }
             Shape::Quad([a, b, c, d]) => {
                 triangle([a, b, c]).or(triangle([a, c, d])).into_iter().collect()
             }
