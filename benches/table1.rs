@@ -15,9 +15,7 @@ use std::error::Error;
 use std::path::Path;
 
 use pvmap::geometry::disc::Profile;
-use pvmap::geometry::{PointBatch, Positions};
-use pvmap::scan::{ColorRange, PlyColumns, PlyWriter};
-use pvmap::scene::{Sample, Scene, SceneKind};
+use pvmap::scene::{Mesh, Scene, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::octree::FILE_NAME;
 use pvmap::vmap::{OctreeView, Shape};
@@ -31,14 +29,13 @@ mod support {
 }
 
 use support::measure::{build, median};
-use support::mesh::Mesh;
+use support::mesh::statue_of_seed;
 use support::row::Row;
 
 const MODELS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data/stanford");
 const RUNS: usize = 5;
 const SEED: u64 = 1;
-/// The middle of the room's floor, and how large a statue is.
-const FOOT_M: [f64; 2] = [2.75, 2.75];
+/// How large a statue is.
 const STATUE_M: f64 = 3.0;
 /// The points of a room with a statue that are the room's: those of the empty room.
 const ROOM_POINTS: u64 = 100_000;
@@ -134,40 +131,23 @@ fn measured(case: &Case, scale: Scale) -> Result<[Row; 2], Box<dyn Error>> {
 /// Writes a room, with a statue in its middle or without, as one scan.
 fn write_scan(case: &Case, scale: Scale, path: &Path) -> Result<(), Box<dyn Error>> {
     let n_points = (case.points * 1e6) as u64 / scale.divisor;
-    let n_room = match case.statue {
-        None => n_points,
-        Some(_) => ROOM_POINTS / scale.divisor,
+    let scene = match case.statue {
+        None => Scene::new(case.room, SEED),
+        Some(model) => {
+            let n_room = ROOM_POINTS / scale.divisor;
+            let statue = statue(model)?.upright(Up::Y);
+            let room = Scene::with_statues(SEED, vec![statue], Some(STATUE_M))?;
+            room.shared_out(&[n_room, n_points - n_room])
+        }
     };
-    let columns =
-        PlyColumns { normal: true, color: Some(ColorRange::Eight), ..PlyColumns::default() };
-    let mut writer = PlyWriter::create(path, n_points, columns)?;
-    let scene = Scene::new(case.room, SEED);
-    let request = SceneRequest { n_points: n_room, shuffle: false };
-    writer.write(&scenes::batch(&scene, &request, 0, n_room))?;
-    if let Some(model) = case.statue {
-        let statue = statue(model)?.placed(FOOT_M, STATUE_M);
-        writer.write(&batch(&statue.points(n_points - n_room, SEED), n_room))?;
-    }
-    Ok(writer.finish()?)
+    let request = SceneRequest { n_points, shuffle: false };
+    Ok(scenes::write(&scene, &request, path, &Limits::default(), &Quiet)?)
 }
 
 /// Reads a model, or makes a statue where there is none of that name.
 fn statue(model: &str) -> Result<Mesh, Box<dyn Error>> {
     let path = Path::new(MODELS).join(model);
-    if path.is_file() { Mesh::of_ply(&path) } else { Ok(Mesh::of_seed(SEED)) }
-}
-
-fn batch(samples: &[Sample], first: u64) -> PointBatch {
-    PointBatch {
-        source: 0,
-        records: (first..).take(samples.len()).collect(),
-        positions: Positions::Double(samples.iter().map(|s| s.position).collect()),
-        color: Some(samples.iter().map(|s| s.color.map(u16::from)).collect()),
-        intensity: None,
-        classification: None,
-        gps_time: None,
-        normal: Some(samples.iter().map(|s| s.normal).collect()),
-    }
+    Ok(if path.is_file() { scenes::read_mesh(&path)? } else { statue_of_seed(SEED)? })
 }
 
 /// Sets the capacity of leaves so that a cut has about so many: the more points a leaf may hold,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use pvmap_octree::OctreeError;
 use pvmap_query::QueryError;
 use pvmap_scan::{ErrorKind, ScanError};
+use pvmap_scene::SceneError;
 use pvmap_store::StoreError;
 use pvmap_visibility::VisibilityError;
 use pvmap_vmap::FormatError;
@@ -34,6 +35,14 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with it.
         source: FormatError,
+    },
+    /// A mesh that is none, or cannot be what it shall be in a scene.
+    #[error("{}: {source}", path.display())]
+    Scene {
+        /// The mesh.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: SceneError,
     },
     /// A configuration that cannot be used.
     #[error("{0}")]
@@ -79,6 +88,8 @@ impl Error {
             Error::Visibility(VisibilityError::Differs { .. }) => 78,
             Error::Query(e) if e.kind() == pvmap_query::ErrorKind::Usage => 2,
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
+            Error::Scene { source: SceneError::TooLarge { .. } | SceneError::Round, .. } => 2,
+            Error::Scene { .. } => 65,
             Error::Usage(_) => 2,
             Error::Threads(_) => 74,
         }

@@ -38,6 +38,7 @@
 //! # }
 //! ```
 
+pub mod accuracy;
 mod build;
 pub mod config;
 mod error;

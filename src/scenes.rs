@@ -1,10 +1,11 @@
-//! Generated scenes as scan files: joins `scene` to the writers of `scan`.
+//! Generated scenes as scan files, models and truths as meshes: joins `scene` to the readers and
+//! writers of `scan`.
 
 use std::path::Path;
 
 use pvmap_geometry::{PointBatch, Positions};
-use pvmap_scan::{ColorRange, LasOptions, LasWriter, PlyColumns, PlyWriter};
-use pvmap_scene::{Sample, Scene};
+use pvmap_scan::{ColorRange, LasOptions, LasWriter, MeshData, PlyColumns, PlyWriter};
+use pvmap_scene::{Mesh, Sample, Scene};
 use pvmap_store::Watch;
 use rayon::prelude::*;
 
@@ -97,4 +98,24 @@ pub fn batch(scene: &Scene, request: &SceneRequest, first: u64, n: u64) -> Point
         gps_time: None,
         normal: Some(samples.iter().map(|s| s.normal).collect()),
     }
+}
+
+/// Reads a mesh, such as a model or the truth of a scene, from a PLY file; gzip may have packed it.
+///
+/// # Errors
+/// Where the file cannot be read or is no mesh.
+pub fn read_mesh(path: &Path) -> Result<Mesh, Error> {
+    let MeshData { corners, normals, triangles } = pvmap_scan::read_mesh(path)?;
+    Mesh::new(corners, normals, triangles)
+        .map_err(|source| Error::Scene { path: path.to_path_buf(), source })
+}
+
+/// Writes the exact triangles of a scene, in its own metres, as a binary PLY mesh.
+///
+/// # Errors
+/// Where the scene has a sphere or the file cannot be written.
+pub fn write_truth(scene: &Scene, path: &Path) -> Result<(), Error> {
+    let (mesh, colors) =
+        scene.mesh().map_err(|source| Error::Scene { path: path.to_path_buf(), source })?;
+    Ok(pvmap_scan::write_mesh(path, mesh.corners(), mesh.triangles(), &colors)?)
 }

@@ -7,7 +7,7 @@ mod cli_common;
 use cli_common::{Bench, room};
 
 /// Every page of help: its name, and what asks for it.
-const PAGES: [(&str, &str); 11] = [
+const PAGES: [(&str, &str); 12] = [
     ("pvmap", "--help"),
     ("ingest", "ingest --help"),
     ("build", "build --help"),
@@ -18,6 +18,7 @@ const PAGES: [(&str, &str); 11] = [
     ("verify", "verify --help"),
     ("export", "export --help"),
     ("scene", "scene --help"),
+    ("accuracy", "accuracy --help"),
     ("demo", "demo --help"),
 ];
 
@@ -44,7 +45,9 @@ fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
         assert!(examples.contains(&start) || examples.contains(&start[1..]), "{name}: {examples}");
         assert!(page.contains("[default: auto]"), "{name}: defaults");
     }
-    for command in ["ingest", "build", "query", "info", "verify", "export", "scene", "demo"] {
+    for command in
+        ["ingest", "build", "query", "info", "verify", "export", "scene", "accuracy", "demo"]
+    {
         assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
         // The short form and the long one are the same page.
         let [short, long] = ["-h", "--help"].map(|h| bench.line(&format!("{command} {h}")).ok());

@@ -4,9 +4,10 @@ use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
+use pvmap::accuracy::{self, Comparison, Drawn, Way};
 use pvmap::config::RawConfig;
-use pvmap::query::{Map, Place, Snap};
-use pvmap::scene::{Sample, Scene, SceneKind};
+use pvmap::query::{Map, Place};
+use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::{FormatError, MapView};
 use pvmap::{BuildConfig, Built, Error, IngestRequest, Limits, Mapped, StoreError};
@@ -88,22 +89,16 @@ struct Column<'a> {
     preset: &'a str,
     config: BuildConfig,
     built: Built,
-    sample: Agreement,
-}
-
-/// How answers of the map compare with exact geometry.
-#[derive(Debug, Clone, Copy, Default)]
-struct Agreement {
-    n_pairs: u64,
-    n_visible: u64,
-    n_false_visible: u64,
-    n_false_invisible: u64,
-    /// Answers a second, one thread, cold.
-    rate: f64,
+    sample: Comparison,
 }
 
 /// Verifies a map and asks it about random pairs of the scene's points.
-fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result<Agreement, Error> {
+fn try_out(
+    path: &Path,
+    scene: &Scene,
+    args: &Args,
+    context: &Context,
+) -> Result<Comparison, Error> {
     use pvmap::Watch;
     let bytes = Mapped::open(path)?;
     let named = |e: FormatError| Error::artifact(path, e);
@@ -113,29 +108,15 @@ fn try_out(path: &Path, scene: &Scene, args: &Args, context: &Context) -> Result
     context.progress.stage("query", Some(args.pairs), "pairs");
     let map = Map::open(&bytes)?;
     let points = scene.points(args.points);
-    let mut found = Agreement { n_pairs: args.pairs, ..Agreement::default() };
-    let mut seconds = 0.0;
-    let mut rng = fastrand::Rng::with_seed(args.seed);
-    for _ in 0..args.pairs {
-        let [a, b] = [0; 2].map(|_| points.at(rng.u64(..args.points)));
-        let started = std::time::Instant::now();
+    let mut draw = |rng: &mut fastrand::Rng| {
+        let sample = points.at(rng.u64(..args.points));
         // The file holds f32: what it rounded away must not put a place outside the cube.
-        let stored = |s: &Sample| s.position.map(|v| f64::from(v as f32));
-        let place = |s: &Sample| Place { position: stored(s), normal: Some(s.normal) };
-        let (at_a, at_b) = (
-            map.locate(&place(&a), Snap::Within(f64::INFINITY))?,
-            map.locate(&place(&b), Snap::Within(f64::INFINITY))?,
-        );
-        let visible = map.pair(&at_a, &at_b)?.visible;
-        seconds += started.elapsed().as_secs_f64();
-        let truth = scene.sees(&a, &b);
-        context.progress.advance(1);
-        found.n_visible += u64::from(truth);
-        found.n_false_visible += u64::from(visible && !truth);
-        found.n_false_invisible += u64::from(truth && !visible);
-    }
-    found.rate = args.pairs as f64 / seconds.max(1e-9);
-    Ok(found)
+        let position = sample.position.map(|v| f64::from(v as f32));
+        let place = Place { position, normal: Some(sample.normal) };
+        Ok(Drawn { place, sample: Some(sample) })
+    };
+    let asked = (args.pairs, args.seed);
+    accuracy::compare(scene, asked, &mut draw, &mut [Way::leaves(&map)], &context.progress)
 }
 
 fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::Result<()> {
@@ -160,13 +141,12 @@ fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::
     row("depth", &|c| c.config.max_level.to_string())?;
     row("pairs asked", &|c| c.sample.n_pairs.to_string())?;
     row("agree with truth", &|c| {
-        let wrong = c.sample.n_false_visible + c.sample.n_false_invisible;
-        share(c.sample.n_pairs - wrong, c.sample.n_pairs)
+        share(c.sample.n_agreeing(&c.sample.tallies[0]), c.sample.n_pairs)
     })?;
     row("truly visible", &|c| share(c.sample.n_visible, c.sample.n_pairs))?;
-    row("wrongly visible", &|c| share(c.sample.n_false_visible, c.sample.n_pairs))?;
-    row("wrongly invisible", &|c| share(c.sample.n_false_invisible, c.sample.n_pairs))?;
-    row("answers a second", &|c| format!("{:.0}", c.sample.rate))?;
+    row("wrongly visible", &|c| share(c.sample.tallies[0].n_false_visible, c.sample.n_pairs))?;
+    row("wrongly invisible", &|c| share(c.sample.tallies[0].n_false_invisible, c.sample.n_pairs))?;
+    row("answers a second", &|c| format!("{:.0}", c.sample.rate(&c.sample.tallies[0])))?;
     writeln!(out, "\n{:<22}{:>16}{:>16}", "stage (depth8)", "seconds", "peak memory")?;
     for stage in stages {
         writeln!(out, "{:<22}{:>16.2}{:>16}", stage.name, stage.seconds, mib(stage.peak_bytes))?;

@@ -1,5 +1,6 @@
 //! The command line: a file a subcommand, arguments in, exit code out.
 
+mod accuracy;
 mod build;
 mod demo;
 mod export;
@@ -73,6 +74,7 @@ enum Command {
     Verify(verify::Args),
     Export(export::Args),
     Scene(scene::Args),
+    Accuracy(accuracy::Args),
     Demo(demo::Args),
 }
 
@@ -146,6 +148,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Verify(args) => verify::run(&args, context),
         Command::Export(args) => export::run(&args, context),
         Command::Scene(args) => scene::run(&args, context),
+        Command::Accuracy(args) => accuracy::run(&args, context),
         Command::Demo(args) => demo::run(&args, context),
     }
 }

@@ -1,0 +1,298 @@
+//! Answers of a map against exact geometry: random pairs of places, counted.
+
+use std::path::Path;
+use std::time::Instant;
+
+use fastrand::Rng;
+use pvmap_query::{ErrorKind, Map, Place, Snap};
+use pvmap_scene::{Sample, Scene};
+use pvmap_store::Watch;
+use pvmap_vmap::octree::Placement;
+use pvmap_vmap::{FormatError, OctreeView};
+use rayon::prelude::*;
+
+use crate::Error;
+
+/// Pairs drawn, answered and judged at a time.
+const CHUNK_PAIRS: u64 = 4096;
+/// Triangles are asked for places by number: these are more than anybody will draw, and so many
+/// that a triangle's share of them is its share of the area.
+const N_PLACES: u64 = 1 << 40;
+
+/// A place that is asked about.
+#[derive(Debug, Clone, Copy)]
+pub struct Drawn {
+    /// As a map is asked.
+    pub place: Place,
+    /// As the truth is asked; none where the place is not on any of its surfaces.
+    pub sample: Option<Sample>,
+}
+
+/// A way to answer whether two places see each other: a column of a comparison.
+pub struct Way<'a> {
+    /// What it is called.
+    pub name: &'static str,
+    /// The answer.
+    pub answer: Answer<'a>,
+}
+
+/// Says whether two places see each other.
+pub type Answer<'a> = Box<dyn FnMut(&Place, &Place) -> Result<bool, Error> + 'a>;
+
+impl<'a> Way<'a> {
+    /// Answers by the leaves of a map, however far from a place the nearest one is.
+    pub fn leaves(map: &'a Map<'_>) -> Way<'a> {
+        let locate = |place: &Place| map.locate(place, Snap::Within(f64::INFINITY));
+        let answer = move |a: &Place, b: &Place| Ok(map.pair(&locate(a)?, &locate(b)?)?.visible);
+        Way { name: "leaves", answer: Box::new(answer) }
+    }
+}
+
+/// What a comparison found.
+#[derive(Debug, Clone, Default)]
+pub struct Comparison {
+    /// Pairs that were judged.
+    pub n_pairs: u64,
+    /// Pairs that were not: a place is outside the cube or on none of the truth's surfaces.
+    pub n_left_out: u64,
+    /// Pairs that face each other, whatever is between them.
+    pub n_facing: u64,
+    /// Pairs that see each other.
+    pub n_visible: u64,
+    /// How each way did, in the order given.
+    pub tallies: Vec<Tally>,
+}
+
+/// How one way of answering did.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Tally {
+    /// What it is called.
+    pub name: &'static str,
+    /// Pairs it says see each other, and they do not.
+    pub n_false_visible: u64,
+    /// Pairs it says do not see each other, and they do.
+    pub n_false_invisible: u64,
+    /// Those of both kinds that face each other.
+    pub n_wrong_facing: u64,
+    /// What all its answers took, one after the other.
+    pub seconds: f64,
+}
+
+impl Comparison {
+    /// Counts the pairs that a way answered as the truth does.
+    pub fn n_agreeing(&self, tally: &Tally) -> u64 {
+        self.n_pairs - tally.n_false_visible - tally.n_false_invisible
+    }
+
+    /// Counts those of them that face each other.
+    pub fn n_agreeing_facing(&self, tally: &Tally) -> u64 {
+        self.n_facing - tally.n_wrong_facing
+    }
+
+    /// Gives a way's answers a second.
+    pub fn rate(&self, tally: &Tally) -> f64 {
+        (self.n_pairs + self.n_left_out) as f64 / tally.seconds.max(1e-9)
+    }
+
+    fn count(&mut self, verdict: Verdict, answers: &[bool]) {
+        self.n_pairs += 1;
+        self.n_facing += u64::from(verdict.faces);
+        self.n_visible += u64::from(verdict.sees);
+        for (tally, &answer) in self.tallies.iter_mut().zip(answers) {
+            tally.n_false_visible += u64::from(answer && !verdict.sees);
+            tally.n_false_invisible += u64::from(verdict.sees && !answer);
+            tally.n_wrong_facing += u64::from(verdict.faces && verdict.sees != answer);
+        }
+    }
+}
+
+/// What the truth says of a pair.
+#[derive(Debug, Clone, Copy)]
+struct Verdict {
+    faces: bool,
+    sees: bool,
+}
+
+/// Draws pairs of places, asks every way and the truth about each, and counts.
+///
+/// # Errors
+/// Where a place cannot be drawn, a map is damaged or the run is asked to stop.
+pub fn compare(
+    truth: &Scene,
+    (n_pairs, seed): (u64, u64),
+    draw: &mut dyn FnMut(&mut Rng) -> Result<Drawn, Error>,
+    ways: &mut [Way<'_>],
+    watch: &dyn Watch,
+) -> Result<Comparison, Error> {
+    let untold = |w: &Way<'_>| Tally { name: w.name, ..Tally::default() };
+    let mut found =
+        Comparison { tallies: ways.iter().map(untold).collect(), ..Comparison::default() };
+    let mut rng = Rng::with_seed(seed);
+    let mut left = n_pairs;
+    while left > 0 {
+        watch.check()?;
+        let n = left.min(CHUNK_PAIRS);
+        let mut pair = || Ok::<_, Error>([draw(&mut rng)?, draw(&mut rng)?]);
+        let pairs: Vec<[Drawn; 2]> = (0..n).map(|_| pair()).collect::<Result<_, _>>()?;
+        let mut answers = vec![Vec::with_capacity(ways.len()); pairs.len()];
+        for (way, tally) in ways.iter_mut().zip(&mut found.tallies) {
+            let started = Instant::now();
+            for ([a, b], answers) in pairs.iter().zip(&mut answers) {
+                match (way.answer)(&a.place, &b.place) {
+                    Ok(answer) => answers.push(answer),
+                    Err(Error::Query(e)) if e.kind() == ErrorKind::Place => {}
+                    Err(e) => return Err(e),
+                }
+            }
+            tally.seconds += started.elapsed().as_secs_f64();
+        }
+        let verdicts: Vec<Option<Verdict>> = pairs.par_iter().map(|p| judge(truth, p)).collect();
+        for (verdict, answers) in verdicts.into_iter().zip(answers) {
+            match verdict {
+                Some(verdict) if answers.len() == ways.len() => found.count(verdict, &answers),
+                _ => found.n_left_out += 1,
+            }
+        }
+        watch.advance(n);
+        left -= n;
+    }
+    Ok(found)
+}
+
+fn judge(truth: &Scene, pair: &[Drawn; 2]) -> Option<Verdict> {
+    let (a, b) = (pair[0].sample?, pair[1].sample?);
+    Some(Verdict { faces: Scene::faces(&a, &b), sees: truth.sees(&a, &b) })
+}
+
+/// Draws places of the truth's own surfaces, by area, with their normals.
+pub fn draw_place(truth: &Scene, rng: &mut Rng) -> Drawn {
+    let sample = truth.points(N_PLACES).at(rng.u64(..N_PLACES));
+    let place = Place { position: sample.position, normal: Some(sample.normal) };
+    Drawn { place, sample: Some(sample) }
+}
+
+/// The points of an octree, to be drawn from.
+pub struct ScanPoints<'a> {
+    view: &'a OctreeView<'a>,
+    path: &'a Path,
+    placement: Placement,
+}
+
+impl<'a> ScanPoints<'a> {
+    /// Takes an octree with points; `path` is what an error names.
+    ///
+    /// # Errors
+    /// Where there is no point.
+    pub fn new(view: &'a OctreeView<'a>, path: &'a Path) -> Result<ScanPoints<'a>, Error> {
+        if view.summary().n_points == 0 {
+            let message = format!("{}: there are no points to draw from", path.display());
+            return Err(Error::Data(message));
+        }
+        let placement = Placement::new(view.schema(), view.frame().frame, view.sources());
+        Ok(ScanPoints { view, path, placement })
+    }
+
+    /// Draws a point. The truth is asked at the nearest place of its surfaces whose front is
+    /// within 60° of the point's normal (any front where its side is unknown).
+    ///
+    /// # Errors
+    /// Where the octree is damaged.
+    pub fn draw(&self, truth: &Scene, rng: &mut Rng) -> Result<Drawn, Error> {
+        let named = |e: FormatError| Error::artifact(self.path, e);
+        let points = self.view.points(rng.u64(..self.view.summary().n_points), 1).map_err(named)?;
+        let point = points.iter().next().expect("one was asked for").map_err(named)?;
+        let no_source = || Error::Data(format!("{}: a point of no source", self.path.display()));
+        let position = self.placement.world(point.record).ok_or_else(no_source)?;
+        let normal = point.key.normal.map(f32::from);
+        let has_normal = normal != [0.0; 3];
+        let side = if point.key.oriented { normal } else { [0.0; 3] };
+        let place = Place { position, normal: has_normal.then_some(normal) };
+        Ok(Drawn { place, sample: truth.project(position, side) })
+    }
+}
+
+/// Gives the 95 % interval of a share of which `k` of `n` were seen.
+///
+/// Source: Wilson 1927, the score interval.
+pub fn wilson(k: u64, n: u64) -> [f64; 2] {
+    if n == 0 {
+        return [0.0, 1.0];
+    }
+    const Z: f64 = 1.959_963_984_540_054;
+    let (n, p) = (n as f64, k as f64 / n as f64);
+    let middle = p + Z * Z / (2.0 * n);
+    let half = Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 + Z * Z / n;
+    [((middle - half) / scale).max(0.0), ((middle + half) / scale).min(1.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pvmap_scene::SceneKind;
+    use pvmap_store::Quiet;
+
+    #[test]
+    fn wilsons_interval() {
+        let near = |found: [f64; 2], low: f64, high: f64| {
+            assert!((found[0] - low).abs() < 5e-5 && (found[1] - high).abs() < 5e-5, "{found:?}");
+        };
+        // Wilson's interval is known from textbooks for these.
+        near(wilson(5, 10), 0.2366, 0.7634);
+        near(wilson(0, 10), 0.0, 0.2775);
+        near(wilson(10, 10), 0.7225, 1.0);
+        near(wilson(81, 263), 0.2553, 0.3662);
+        near(wilson(0, 0), 0.0, 1.0);
+    }
+
+    #[test]
+    fn counts_are_those_of_each_pair() {
+        let truth = Scene::new(SceneKind::Packed, 1);
+        let mut asked = Vec::new();
+        let says = |n: usize| n.is_multiple_of(3);
+        let mut ways = [
+            Way { name: "yes", answer: Box::new(|_: &Place, _: &Place| Ok(true)) },
+            Way {
+                name: "every third",
+                answer: Box::new(|a: &Place, b: &Place| {
+                    asked.push((*a, *b));
+                    Ok(says(asked.len()))
+                }),
+            },
+        ];
+        let mut draw = |rng: &mut Rng| Ok(draw_place(&truth, rng));
+        let found = compare(&truth, (5000, 7), &mut draw, &mut ways, &Quiet).unwrap();
+        drop(ways);
+        let mut wrong = [0, 0, 0];
+        let mut n_visible = 0;
+        for ((a, b), n) in asked.iter().zip(1..) {
+            let normal = |p: &Place| p.normal.unwrap();
+            let sees = truth.sees_points(a.position, normal(a), b.position, normal(b));
+            n_visible += u64::from(sees);
+            wrong[0] += u64::from(!sees);
+            wrong[1] += u64::from(says(n) && !sees);
+            wrong[2] += u64::from(!says(n) && sees);
+        }
+        assert_eq!((found.n_pairs, found.n_left_out), (5000, 0));
+        assert_eq!(found.n_visible, n_visible);
+        assert!(n_visible > 500 && n_visible < found.n_facing && found.n_facing < 4000);
+        let counts = found.tallies.iter().map(|t| (t.n_false_visible, t.n_false_invisible));
+        assert_eq!(counts.collect::<Vec<_>>(), [(wrong[0], 0), (wrong[1], wrong[2])]);
+        assert_eq!(found.n_agreeing(&found.tallies[0]), n_visible);
+        assert_eq!(found.n_agreeing_facing(&found.tallies[0]), n_visible);
+    }
+
+    #[test]
+    fn what_cannot_be_asked_is_left_out() {
+        let truth = Scene::new(SceneKind::Empty, 1);
+        let mut n_drawn = 0;
+        let mut draw = |rng: &mut Rng| {
+            n_drawn += 1;
+            let drawn = draw_place(&truth, rng);
+            Ok(if n_drawn % 10 == 0 { Drawn { sample: None, ..drawn } } else { drawn })
+        };
+        let mut ways = [Way { name: "no", answer: Box::new(|_: &Place, _: &Place| Ok(false)) }];
+        let found = compare(&truth, (100, 1), &mut draw, &mut ways, &Quiet).unwrap();
+        assert_eq!((found.n_pairs, found.n_left_out), (80, 20));
+    }
+}

@@ -1,0 +1,178 @@
+//! `pvmap accuracy`: how often a map is right.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use pvmap::accuracy::{self, Comparison, Drawn, ScanPoints, Tally, Way, wilson};
+use pvmap::query::Map;
+use pvmap::scene::Scene;
+use pvmap::vmap::OctreeView;
+use pvmap::{Error, Watch, scenes};
+use serde_json::{Value, json};
+
+use super::{Context, Outcome, map_file, parse_some, print_json};
+
+/// Compare answers of a map with the exact triangles of its scene
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Random pairs of places are asked of the map and of the triangles. With --octree the places are
+points of the scan, each with its normal; the triangles are then asked at the place nearest to the
+point on a triangle whose front is within 60° of that normal. Without it they are places on the
+triangles, even by area, with the triangles' normals.
+
+In truth two places see each other where both triangles turn their front (counter-clockwise) to
+the other place and no third triangle crosses the segment between them, whichever its front. A
+triangle that holds an end, to within 1e-12 of the mesh's extent, hides nothing from that end.
+
+Output, with 95 % intervals (Wilson); shares are of all pairs unless it says otherwise:
+  face each other      by the triangles' fronts, whatever is between
+  see each other       by the triangles
+  agree                answers of the map that are those of the triangles
+  agree, facing        the same, of the pairs that face each other
+  wrongly visible      the map says yes, the triangles no
+  wrongly invisible    the map says no, the triangles yes
+  left out             pairs with a place outside the map's cube or, with --octree, farther from
+                       the triangles than a hundredth of their extent
+
+Examples:
+  pvmap scene cornell --model bunny.ply -o room.ply --truth room.mesh.ply
+  pvmap ingest room.ply
+  pvmap build room.octree
+  pvmap accuracy room.vmap --truth room.mesh.ply --octree room.octree")]
+pub(super) struct Args {
+    /// The map, as pvmap build makes it
+    #[arg(value_name = "NAME.vmap")]
+    map: PathBuf,
+    /// The exact triangles, a PLY mesh, as pvmap scene --truth writes it
+    #[arg(long, value_name = "MESH.ply")]
+    truth: PathBuf,
+    /// Draw points of the scan instead of places on the triangles
+    #[arg(long, value_name = "NAME.octree")]
+    octree: Option<PathBuf>,
+    /// How many pairs
+    #[arg(long, default_value = "100k", value_parser = parse_some, value_name = "N")]
+    pairs: u64,
+    /// What the pairs are drawn from
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    seed: u64,
+    /// Answer as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    let watch = &context.progress;
+    let (path, bytes) = map_file(&args.map)?;
+    let map = Map::open(&bytes).map_err(|e| named(&path, e.into()))?;
+    let octree = args.octree.as_deref().map(map_file).transpose()?;
+    watch.stage("truth", None, "triangles");
+    let truth = Scene::of_mesh(&scenes::read_mesh(&args.truth)?, args.seed);
+    watch.advance(truth.n_surfaces() as u64);
+    watch.stage("accuracy", Some(args.pairs), "pairs");
+    // A point-exact answer would be one more way here, and one more column of what is printed.
+    let mut ways = [Way::leaves(&map)];
+    let mut ask = |draw: &mut dyn FnMut(&mut fastrand::Rng) -> Result<Drawn, Error>| {
+        accuracy::compare(&truth, (args.pairs, args.seed), draw, &mut ways, watch)
+            .map_err(|e| named(&path, e))
+    };
+    let found = match &octree {
+        None => ask(&mut |rng| Ok(accuracy::draw_place(&truth, rng)))?,
+        Some((name, bytes)) => {
+            let view = OctreeView::open(bytes).map_err(|e| Error::artifact(name, e))?;
+            if view.summary().digest != map.view().summary().digest {
+                let name = name.display();
+                let message =
+                    format!("{}: was not built from the points of {name}", path.display());
+                return Err(Error::Data(message).into());
+            }
+            let points = ScanPoints::new(&view, name)?;
+            ask(&mut |rng| points.draw(&truth, rng))?
+        }
+    };
+    if found.n_pairs == 0 {
+        let message = format!(
+            "{}: none of the pairs lies both in the map and on the triangles; give the truth of \
+             this scan, in its units",
+            args.truth.display()
+        );
+        return Err(Error::Data(message).into());
+    }
+    if args.json {
+        print_json(&as_json(&found, truth.n_surfaces()))?;
+    } else {
+        print(args, &found, truth.n_surfaces())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Says which map an error is about, where it is about the map.
+fn named(path: &std::path::Path, e: Error) -> Error {
+    match e {
+        Error::Query(pvmap::query::QueryError::Format(e)) => Error::artifact(path, e),
+        e => e,
+    }
+}
+
+/// A count of a way's answers, and of how many it is a part.
+type Row = (&'static str, fn(&Comparison, &Tally) -> [u64; 2]);
+
+const ROWS: [Row; 4] = [
+    ("agree", |c, t| [c.n_agreeing(t), c.n_pairs]),
+    ("agree, facing", |c, t| [c.n_agreeing_facing(t), c.n_facing]),
+    ("wrongly visible", |c, t| [t.n_false_visible, c.n_pairs]),
+    ("wrongly invisible", |c, t| [t.n_false_invisible, c.n_pairs]),
+];
+
+fn print(args: &Args, found: &Comparison, n_triangles: usize) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    let from = match &args.octree {
+        Some(octree) => format!("points of {}", octree.display()),
+        None => format!("places on {}", args.truth.display()),
+    };
+    writeln!(
+        out,
+        "{} pairs of {from} (seed {}), against {n_triangles} triangles\n",
+        found.n_pairs, args.seed
+    )?;
+    let percent = |k: u64, n: u64| format!("{:.3} %", 100.0 * k as f64 / n.max(1) as f64);
+    let row = |name: &str, k: u64| format!("{name:<22}{:>12}", percent(k, found.n_pairs));
+    writeln!(out, "{}", row("face each other", found.n_facing))?;
+    writeln!(out, "{}", row("see each other", found.n_visible))?;
+    writeln!(out, "{:<22}{:>12}\n", "left out", found.n_left_out)?;
+    let columns = |cell: &dyn Fn(&Tally) -> String| {
+        found.tallies.iter().map(|t| format!("{:>32}", cell(t))).collect::<String>()
+    };
+    writeln!(out, "{:<22}{}", "answered by", columns(&|t| t.name.to_owned()))?;
+    for (name, count) in ROWS {
+        let cell = |t: &Tally| {
+            let [k, n] = count(found, t);
+            let [low, high] = wilson(k, n).map(|v| 100.0 * v);
+            format!("{} ({low:.3} – {high:.3})", percent(k, n))
+        };
+        writeln!(out, "{name:<22}{}", columns(&cell))?;
+    }
+    writeln!(out, "{:<22}{}", "answers a second", columns(&|t| format!("{:.0}", found.rate(t))))
+}
+
+fn as_json(found: &Comparison, n_triangles: usize) -> Value {
+    let way = |t: &Tally| {
+        let mut way = json!({ "name": t.name, "answers_per_second": found.rate(t) });
+        for (name, count) in ROWS {
+            let [k, n] = count(found, t);
+            let [low, high] = wilson(k, n);
+            let share = k as f64 / n.max(1) as f64;
+            way[name.replace(", ", "_").replace(' ', "_")] =
+                json!({ "n": k, "of": n, "share": share, "low": low, "high": high });
+        }
+        way
+    };
+    json!({
+        "pairs": found.n_pairs,
+        "left_out": found.n_left_out,
+        "facing": found.n_facing,
+        "visible": found.n_visible,
+        "triangles": n_triangles,
+        "ways": found.tallies.iter().map(way).collect::<Vec<_>>(),
+    })
+}

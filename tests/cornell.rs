@@ -1,0 +1,289 @@
+//! Models in the Cornell room: the scan, the exact triangles beside it, and what the command says
+//! of a map that was made of it.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
+
+mod cli_common;
+
+use std::path::Path;
+
+use cli_common::{Bench, data, is_slow_asked_for};
+use pvmap::accuracy::{Way, compare, draw_place};
+use pvmap::query::Place;
+use pvmap::scan::write_mesh;
+use pvmap::scene::{Mesh, Scene, SceneKind, Up};
+use pvmap::scenes::{self, SceneRequest};
+use pvmap::vmap::OctreeView;
+use pvmap::vmap::octree::Placement;
+use pvmap::{Limits, Quiet};
+use serde_json::Value;
+
+/// A needle with eight sides and a notch half way up, its front outward, y up.
+fn needle(path: &Path) {
+    let ring = [[1.0, 0.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 1.0]];
+    let mut corners = vec![[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]];
+    for (y, r) in [(1.0, 1.0), (2.0, 0.3), (3.0, 0.8)] {
+        corners.extend(ring.map(|[x, z]| [x * r, y, z * r]));
+    }
+    let mut triangles = Vec::new();
+    for i in 0..4 {
+        let next = (i + 1) % 4;
+        triangles.push([0, 2 + next, 2 + i]);
+        triangles.push([1, 10 + i, 10 + next]);
+        for ring in [2, 6] {
+            let [a, b, c, d] = [ring + i, ring + next, ring + 4 + next, ring + 4 + i];
+            triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    write_mesh(path, &corners, &triangles, &vec![[0; 3]; triangles.len()]).unwrap();
+}
+
+fn two_needles(folder: &Path) -> Scene {
+    let path = folder.join("needle.ply");
+    needle(&path);
+    let model = || scenes::read_mesh(&path).unwrap().upright(Up::Y);
+    Scene::with_statues(1, vec![model(), model()], None).unwrap()
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] - b[i])
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| a[i] * b[i]).sum()
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn triangles_of(mesh: &Mesh) -> Vec<[[f64; 3]; 3]> {
+    mesh.triangles().iter().map(|t| t.map(|c| mesh.corners()[c as usize])).collect()
+}
+
+#[test]
+fn the_scan_is_the_same_bytes_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = two_needles(folder.path());
+    let bytes = |threads| {
+        let path = folder.path().join(format!("{threads}.ply"));
+        let limits = Limits { threads, ..Limits::default() };
+        // More than a block of points.
+        let request = SceneRequest { n_points: 300_000, shuffle: threads == 8 };
+        scenes::write(&scene, &request, &path, &limits, &Quiet).unwrap();
+        std::fs::read(path).unwrap()
+    };
+    let one = bytes(1);
+    assert!(one == bytes(2) && one == bytes(3));
+    assert!(one != bytes(8), "that one is shuffled");
+}
+
+#[test]
+fn truth_comes_back_as_it_was_and_its_triangles_hold_all_points() {
+    let bench = Bench::new();
+    needle(&bench.path("needle.ply"));
+    let line = "scene cornell --model needle.ply --model needle.ply --points 3k -o two.ply \
+                --truth two.mesh.ply";
+    bench.line(line).ok();
+    let found = scenes::read_mesh(&bench.path("two.mesh.ply")).unwrap();
+    let (expected, colors) = two_needles(bench.path("").as_path()).mesh().unwrap();
+    assert_eq!(found, expected);
+    assert_eq!(colors.len(), 12 + 2 * 24);
+    // A rerun writes the same bytes.
+    let before = [bench.read("two.ply"), bench.read("two.mesh.ply")];
+    bench.line(line).ok();
+    assert!(before == [bench.read("two.ply"), bench.read("two.mesh.ply")]);
+
+    let triangles = triangles_of(&found);
+    let holds = |[a, b, c]: &[[f64; 3]; 3], p: [f64; 3]| {
+        let normal = cross(sub(*b, *a), sub(*c, *a));
+        let size = dot(normal, normal).sqrt();
+        // The file holds f32, whose last bit is worth 5e-7 m here.
+        let inside = |from, to| dot(normal, cross(sub(to, from), sub(p, from))) > -1e-5 * size;
+        (dot(normal, sub(p, *a)) / size).abs() < 1e-6
+            && inside(*a, *b)
+            && inside(*b, *c)
+            && inside(*c, *a)
+    };
+    bench.line("ingest two.ply").ok();
+    bench.with_octree("two.octree", |view: &OctreeView<'_>| {
+        let placement = Placement::new(view.schema(), view.frame().frame, view.sources());
+        assert_eq!(view.summary().n_points, 3000);
+        for point in view.points(0, 3000).unwrap().iter() {
+            let p = placement.world(point.unwrap().record).unwrap();
+            assert!(triangles.iter().any(|t| holds(t, p)), "{p:?}");
+        }
+    });
+}
+
+#[test]
+fn the_truth_counted_is_that_of_all_triangles_one_by_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = Scene::of_mesh(&two_needles(folder.path()).mesh().unwrap().0, 1);
+    let triangles = triangles_of(&truth.mesh().unwrap().0);
+    // Möller and Trumbore 1997: where on the segment a triangle is met.
+    let meets = |[a, b, c]: &[[f64; 3]; 3], p: [f64; 3], d: [f64; 3]| {
+        let (ab, ac) = (sub(*b, *a), sub(*c, *a));
+        let across = cross(d, ac);
+        let scale = dot(ab, across);
+        let u = dot(sub(p, *a), across) / scale;
+        let along = cross(sub(p, *a), ab);
+        let (v, t) = (dot(d, along) / scale, dot(ac, along) / scale);
+        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < 1.0
+    };
+    let lifted = |p: &Place| {
+        let n = p.normal.unwrap();
+        [0, 1, 2].map(|i| p.position[i] + 1e-9 * f64::from(n[i]))
+    };
+    let mut counts = [0; 2];
+    let answer = |a: &Place, b: &Place| {
+        let d = sub(b.position, a.position);
+        let cosine = |p: &Place| dot(p.normal.unwrap().map(f64::from), d);
+        let faces = cosine(a) > 0.0 && cosine(b) < 0.0;
+        let (p, q) = (lifted(a), lifted(b));
+        let sees = faces && !triangles.iter().any(|t| meets(t, p, sub(q, p)));
+        counts[0] += u64::from(faces);
+        counts[1] += u64::from(sees);
+        Ok(sees)
+    };
+    let mut ways = [Way { name: "one by one", answer: Box::new(answer) }];
+    let mut draw = |rng: &mut fastrand::Rng| Ok(draw_place(&truth, rng));
+    let found = compare(&truth, (20_000, 3), &mut draw, &mut ways, &Quiet).unwrap();
+    drop(ways);
+    assert_eq!(found.n_agreeing(&found.tallies[0]), 20_000);
+    assert_eq!([found.n_facing, found.n_visible], counts);
+    assert!(found.n_visible > 5_000 && found.n_facing > found.n_visible + 500, "{found:?}");
+}
+
+fn accuracy(bench: &Bench, line: &str) -> Value {
+    let run = bench.line(&format!("accuracy {line} --json")).ok();
+    serde_json::from_str(&run.stdout).unwrap()
+}
+
+#[test]
+fn an_empty_room_is_answered_right_but_for_pairs_of_one_leaf() {
+    let bench = Bench::new();
+    bench.line("scene cornell --points 20k -o room.ply --truth room.mesh.ply").ok();
+    bench.line("scene empty --points 20k -o empty.ply").ok();
+    assert!(bench.read("room.ply") == bench.read("empty.ply"));
+    bench.line("ingest room.ply").ok();
+    bench.line("build room.octree").ok();
+    let asked = "room.vmap --truth room.mesh.ply --pairs 20k";
+    for line in [asked.to_owned(), format!("{asked} --octree room.octree")] {
+        let found = accuracy(&bench, &line);
+        assert_eq!((&found["pairs"], &found["left_out"]), (&20_000.into(), &0.into()));
+        assert_eq!((&found["triangles"], &found["facing"]), (&12.into(), &found["visible"]));
+        // Five of six pairs are on two walls.
+        let share = found["visible"].as_f64().unwrap() / 20_000.0;
+        assert!((share - 5.0 / 6.0).abs() < 0.01, "{share}");
+        let leaves = &found["ways"][0];
+        let agree = &leaves["agree"];
+        // What is wrong are pairs of one leaf, which see each other by [V-6]. Measured were 0.15 %
+        // with 20 000 points; more points are smaller leaves.
+        assert!(agree["share"].as_f64().unwrap() > 0.998, "{found}");
+        assert_eq!(leaves["agree_facing"]["share"], 1.0, "{found}");
+        assert_eq!(leaves["wrongly_invisible"]["n"], 0, "{found}");
+        assert!(agree["low"].as_f64() < agree["share"].as_f64(), "{found}");
+    }
+    let run = bench.line(&format!("accuracy {asked} --seed 2")).ok();
+    for words in ["20000 pairs of places on room.mesh.ply (seed 2)", "agree, facing", "leaves"] {
+        assert!(run.stdout.contains(words), "{}", run.stdout);
+    }
+}
+
+#[test]
+fn what_cannot_be_a_scene_is_told_in_one_line() {
+    let bench = Bench::new();
+    needle(&bench.path("needle.ply"));
+    let whole = bench.read("needle.ply");
+    bench.write("text.ply", "a letter to a friend\n");
+    bench.write("short.ply", &whole[..whole.len() - 9]);
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n\
+                property float z\nelement face 1\nproperty list uchar int vertex_indices\n\
+                end_header\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n";
+    bench.write("flat.ply", text);
+    bench.write("lost.ply", text.replace("3 0 1 2", "3 0 1 9"));
+    bench.write("huge.ply", text.replace("face 1", "face 9000000000"));
+    bench.write("cloud.ply", cli_common::room_ply(4));
+    for (model, code, words) in [
+        ("missing.ply", 66, &["missing.ply"][..]),
+        ("text.ply", 65, &["text.ply", "PLY header"]),
+        ("short.ply", 65, &["short.ply", "ends before the last of 24 rows of face"]),
+        ("flat.ply", 65, &["flat.ply", "none of its 1 triangles has an area"]),
+        ("lost.ply", 65, &["lost.ply", "triangle 0 has corner 9, there are 3"]),
+        ("huge.ply", 65, &["huge.ply", "declares 9000000000 of face"]),
+        ("cloud.ply", 65, &["cloud.ply", "no element face"]),
+    ] {
+        bench.line(&format!("scene cornell --model {model} -o a.ply")).fails(code, words);
+        bench.line(&format!("accuracy a.vmap --truth {model}")).fails(66, &["a.vmap"]);
+    }
+    for (line, words) in [
+        ("scene empty --model needle.ply -o a.ply", &["--model", "cornell"][..]),
+        ("scene cornell --packed --model needle.ply -o a.ply", &["--packed", "--model"]),
+        ("scene cornell --model needle.ply --size 5.3 -o a.ply", &["needle.ply", "5.25 m"]),
+        ("scene cornell --model needle.ply --size 0 -o a.ply", &["--size"]),
+        ("scene cornell --model needle.ply --up x -o a.ply", &["--up", "neither y nor z"]),
+        ("scene cornell --model needle.ply --points 1,2,3 -o a.ply", &["3 numbers", "1 or 2"]),
+        ("scene cornell --model needle.ply -o needle.ply", &["needle.ply", "inputs"]),
+        ("scene cornell -o a.ply --truth a.ply", &["a.ply", "one file"]),
+        ("scene furnished -o a.ply --truth b.ply", &["b.ply", "sphere"]),
+    ] {
+        bench.line(line).fails(2, words);
+    }
+    assert!(!bench.path("a.ply").exists());
+}
+
+#[test]
+fn a_map_is_asked_of_its_own_truth_and_octree() {
+    let bench = Bench::new();
+    bench.line("scene cornell --points 3k -o room.ply --truth room.mesh.ply").ok();
+    bench.line("ingest room.ply").ok();
+    bench.line("build room.octree").ok();
+    bench.line("scene cave --points 3k -o cave.ply").ok();
+    bench.line("ingest cave.ply").ok();
+    let line = "accuracy room.vmap --truth room.mesh.ply --octree cave.octree";
+    bench.line(line).fails(65, &["room.vmap", "cave.octree", "not built from"]);
+    bench.line("accuracy room.vmap --truth room.ply").fails(65, &["room.ply", "not a mesh"]);
+    bench.line("accuracy room.vmap --truth none.ply").fails(66, &["none.ply"]);
+    bench.line("accuracy room.octree --truth room.mesh.ply").fails(65, &["room.octree"]);
+    let far = [[900.0, 0.0, 0.0], [901.0, 0.0, 0.0], [900.0, 1.0, 0.0]];
+    write_mesh(&bench.path("far.ply"), &far, &[[0, 1, 2]], &[[0; 3]]).unwrap();
+    for octree in ["", " --octree room.octree"] {
+        let line = format!("accuracy room.vmap --truth far.ply --pairs 100{octree}");
+        bench.line(&line).fails(65, &["far.ply", "none of the pairs"]);
+    }
+}
+
+#[test]
+fn rooms_with_the_papers_statues() {
+    let Some(models) = data("stanford") else { return };
+    // Measured with 400 000 points: 98.73 % and, with the dragon at its full resolution, 96.34 %.
+    let (n_points, least) =
+        if is_slow_asked_for() { (400_000, [0.985, 0.96]) } else { (30_000, [0.95, 0.88]) };
+    let model = |name: &str| format!(" --model {}", models.join(name).display());
+    let rooms = [
+        model("bunny_bun_zipper.ply"),
+        model("dragon_vrip_res3.ply.gz") + &model("armadillo_43k.ply"),
+    ];
+    for (room, least) in rooms.iter().zip(least) {
+        let bench = Bench::new();
+        let line = format!("scene cornell{room} --points {n_points} -o r.ply --truth r.mesh.ply");
+        bench.line(&line).ok();
+        bench.line("ingest r.ply").ok();
+        bench.line("build r.octree").ok();
+        let found = accuracy(&bench, "r.vmap --truth r.mesh.ply --octree r.octree --pairs 20k");
+        assert_eq!(found["left_out"], 0, "{found}");
+        let share = found["ways"][0]["agree"]["share"].as_f64().unwrap();
+        eprintln!("{n_points} points: {:.2} % agree", 100.0 * share);
+        assert!(share > least, "{found}");
+    }
+}
+
+#[test]
+fn the_packed_room_has_its_truth() {
+    let bench = Bench::new();
+    bench.line("scene cornell --packed --points 500 -o a.ply --truth a.mesh.ply").ok();
+    bench.line("scene packed --points 500 -o b.ply").ok();
+    assert!(bench.read("a.ply") == bench.read("b.ply"));
+    let (mesh, _) = Scene::new(SceneKind::Packed, 1).mesh().unwrap();
+    assert_eq!(scenes::read_mesh(&bench.path("a.mesh.ply")).unwrap(), mesh);
+}
