@@ -9,54 +9,29 @@ mod common;
 
 use std::path::Path;
 
-use fastrand::Rng;
+use pvmap::accuracy::{self, Comparison, Drawn, Way};
 use pvmap::config::RawConfig;
-use pvmap::query::{Map, Place, Snap};
-use pvmap::scene::{Sample, Scene, SceneKind};
+use pvmap::query::{Map, Place};
+use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::{Quiet, vmap::MapView};
 
 use crate::common::{LIMITS, build_with, ingest_with, is_slow_run};
 
-/// What the pairs of a run said.
-#[derive(Debug, Clone, Copy, Default)]
-struct Agreement {
-    n_pairs: u32,
-    n_visible: u32,
-    n_wrongly_visible: u32,
-    n_wrongly_invisible: u32,
-}
-
-impl Agreement {
-    fn percent(&self) -> f64 {
-        let n_wrong = self.n_wrongly_visible + self.n_wrongly_invisible;
-        100.0 * (1.0 - f64::from(n_wrong) / f64::from(self.n_pairs))
-    }
-}
-
-/// Gives a sample as a place: of its position the file holds f32.
-fn place(sample: &Sample) -> Place {
-    let position = sample.position.map(|v| f64::from(v as f32));
-    Place { position, normal: Some(sample.normal) }
-}
-
-/// Asks a map about random pairs of the points it was made of. Each point is in some leaf, so that
-/// no snap limit is needed.
-fn ask(map: &[u8], scene: &Scene, n_points: u64, n_pairs: u32) -> Agreement {
+/// Asks a map about random pairs of the points it was made of.
+fn ask(map: &[u8], scene: &Scene, n_points: u64, n_pairs: u64) -> Comparison {
     MapView::open(map).unwrap().verify().unwrap();
     let map = Map::open(map).unwrap();
     let points = scene.points(n_points);
-    let mut rng = Rng::with_seed(1);
-    let mut found = Agreement { n_pairs, ..Agreement::default() };
-    for _ in 0..n_pairs {
-        let [a, b] = [0; 2].map(|_| points.at(rng.u64(..n_points)));
-        let [at_a, at_b] = [&a, &b].map(|s| map.locate(&place(s), Snap::default()).unwrap());
-        let (visible, truth) = (map.pair(&at_a, &at_b).unwrap().visible, scene.sees(&a, &b));
-        found.n_visible += u32::from(truth);
-        found.n_wrongly_visible += u32::from(visible && !truth);
-        found.n_wrongly_invisible += u32::from(truth && !visible);
-    }
-    found
+    let mut draw = |rng: &mut fastrand::Rng| {
+        let sample = points.at(rng.u64(..n_points));
+        // Of its position the file holds f32.
+        let position = sample.position.map(|v| f64::from(v as f32));
+        let place = Place { position, normal: Some(sample.normal) };
+        Ok(Drawn { place, sample: Some(sample) })
+    };
+    let mut ways = [Way::leaves(&map)];
+    accuracy::compare(scene, (n_pairs, 1), &mut draw, &mut ways, &Quiet).unwrap()
 }
 
 #[test]
@@ -78,10 +53,12 @@ fn answers_agree_with_exact_geometry() {
         let (config, _) = RawConfig::find(Path::new(preset)).unwrap().check().unwrap();
         let map = build_with(&octree, &config, &LIMITS);
         let found = ask(&map, &scene, n_points, n_pairs);
-        eprintln!("{preset}, {n_points} points: {:.2} % agree, {found:?}", found.percent());
-        assert!(found.percent() >= bar, "{preset}: {:.2} %, {bar} expected", found.percent());
+        assert_eq!((found.n_pairs, found.n_left_out), (n_pairs, 0));
+        let percent = 100.0 * found.n_agreeing(&found.tallies[0]) as f64 / n_pairs as f64;
+        eprintln!("{preset}, {n_points} points: {percent:.2} % agree, {found:?}");
+        assert!(percent >= bar, "{preset}: {percent:.2} %, {bar} expected");
         // Neither answer is so rare that it could be missing.
-        let n_yes = f64::from(found.n_visible) / f64::from(n_pairs);
+        let n_yes = found.n_visible as f64 / n_pairs as f64;
         assert!((0.2..0.9).contains(&n_yes), "{n_yes} of the pairs are visible");
     }
 }
