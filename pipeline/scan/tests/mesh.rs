@@ -1,6 +1,8 @@
 //! Meshes: written ones come back, foreign ones are read, and what is none is told in a line.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
+mod common;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -13,10 +15,7 @@ property list uchar int vertex_index\nend_header\n\
 0 0 0 0 0 1\n1 0 0 0 0 1\n1 1 0 0 0 1\n0 1.5 0 0 1 0\n7 3 0 1 2\n8 4 0 1 2 3\n";
 
 fn file(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("mesh.ply");
-    std::fs::write(&path, bytes).unwrap();
-    (folder, path)
+    common::file("mesh.ply", bytes)
 }
 
 fn refused(bytes: &[u8]) -> String {
@@ -108,4 +107,35 @@ fn no_byte_of_a_small_mesh_makes_a_panic() {
             let _ = read_mesh(&path);
         }
     }
+}
+
+#[test]
+fn foreign_files_are_meshes_or_refused() {
+    let mut found = Vec::new();
+    for folder in ["ply_conformance", "malformed", "stanford"] {
+        let Some(folder) = common::data(folder) else { return };
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            match read_mesh(&path) {
+                Ok(mesh) => found.push((name, mesh.corners.len(), mesh.triangles.len())),
+                Err(e) => {
+                    assert_eq!(e.kind(), ErrorKind::BadData, "{e}");
+                    assert!(!e.to_string().contains('\n'), "{e}");
+                }
+            }
+        }
+    }
+    for expected in [
+        ("ddiakopoulos_icosahedron.ply", 12, 20),
+        ("ddiakopoulos_icosahedron_ascii.ply", 12, 20),
+        ("pyvista_horse.ply", 48_485, 96_966),
+        ("armadillo_43k.ply", 43_243, 86_482),
+        ("bunny_bun_zipper.ply", 35_947, 69_451),
+        ("dragon_vrip.ply.gz", 437_645, 871_414),
+        ("happy_buddha_50k.ply", 49_950, 100_000),
+    ] {
+        assert!(found.iter().any(|f| (f.0.as_str(), f.1, f.2) == expected), "{expected:?}");
+    }
+    eprintln!("meshes: {found:?}");
 }
