@@ -256,9 +256,9 @@ fn a_map_is_asked_of_its_own_truth_and_octree() {
 #[test]
 fn rooms_with_the_papers_statues() {
     let Some(models) = data("stanford") else { return };
-    // Measured with 400 000 points: 98.73 % and, with the dragon at its full resolution, 96.34 %.
+    // Measured with 400 000 points: 98.73 % and 95.81 %.
     let (n_points, least) =
-        if is_slow_asked_for() { (400_000, [0.985, 0.96]) } else { (30_000, [0.95, 0.88]) };
+        if is_slow_asked_for() { (400_000, [0.984, 0.954]) } else { (30_000, [0.95, 0.88]) };
     let model = |name: &str| format!(" --model {}", models.join(name).display());
     let rooms = [
         model("bunny_bun_zipper.ply"),
