@@ -3,21 +3,29 @@
 //! [`Map`] wraps the bytes of a whole map file. [`Map::locate`] leads a place in world units to
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
-//! map. The room opens no file and prints nothing; it reads
-//! only the blocks a question needs, trusts no byte of them, and a [`Map`] may be asked from many
-//! threads at once. Decoded links are kept in a cache of fixed size (`frames`), so a batch of any
-//! length takes bounded memory.
+//! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`], [`Map::sees_counts`]
+//! how much every surfel sees. The room opens no file and prints nothing; it reads only the blocks
+//! a question needs, trusts no byte of them, and a [`Map`] may be asked from many threads at once.
+//! Decoded links are kept in a cache of fixed size (`frames`), so a batch of any length takes
+//! bounded memory.
 //!
 //! Start reading at [`Map`], then [`Map::locate`] and [`Map::pair`].
 
 mod batch;
+mod between;
 mod error;
 mod frames;
 mod locate;
 mod map;
 mod pair;
+mod part;
+mod sees_counts;
+mod set;
+mod visible_from;
 
 pub use error::{ErrorKind, QueryError};
 pub use locate::{Located, Place, Snap};
 pub use map::Map;
 pub use pair::{Link, PairAnswer};
+pub use set::SurfelSet;
+pub use visible_from::VisibleSet;

@@ -9,6 +9,7 @@ use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
 use crate::error::QueryError;
 use crate::frames::LinkFrames;
+use crate::locate::Located;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
@@ -53,6 +54,11 @@ impl<'a> Map<'a> {
         self.from_given_pairs
     }
 
+    /// Counts the link frames decoded so far: what questions have read of the links.
+    pub fn n_frames_decoded(&self) -> u64 {
+        self.frames.n_decoded()
+    }
+
     /// Reads the root, checking that it is the whole cube; none in a map without points.
     pub(crate) fn root(&self) -> Result<Option<Node>, FormatError> {
         if self.view.n_nodes() == 0 {
@@ -92,6 +98,15 @@ impl<'a> Map<'a> {
             least_slot = child.as_ref().map_or(0, |child| child.slot + 1);
             Some(child.map(|child| (child_id, child)))
         })
+    }
+
+    /// Reads the leaf and the surfel of a located place, checking that they are of this map.
+    pub(crate) fn leaf_of(&self, place: &Located) -> Result<(Node, Surfel), FormatError> {
+        let leaf = self.view.node(place.node)?;
+        if !leaf.is_leaf() || leaf.first_surfel != place.surfel {
+            return Err(self.broken_node(place.node, "is not the leaf of that surfel"));
+        }
+        Ok((leaf, self.surfel_of(place.node, &leaf)?))
     }
 
     /// Reads the surfel of a leaf, checking that it is the leaf's.

@@ -6,4 +6,6 @@ mod common;
 mod hostile;
 mod locate;
 mod pair;
+mod sound;
 mod speed;
+mod visible;
