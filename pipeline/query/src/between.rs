@@ -20,7 +20,7 @@ const WIDE: u32 = 1 << 12;
 /// What is made of the links that a walk finds.
 pub(crate) trait Tally: Default + Send {
     /// Takes a link: a node over the part that is walked, and a later one over the other.
-    fn link(&mut self, from: &Node, to: &Node);
+    fn link(&mut self, walk: &Walk<'_, '_>, from: &Node, to: &Node);
 
     /// Notes that a node was looked at.
     fn look(&mut self) {}
@@ -104,7 +104,7 @@ impl Walk<'_, '_> {
                 let far = far_node(self.map, node, partner)?;
                 let n = self.to.n_under(&far);
                 if n > 0 {
-                    found.link(node, &far);
+                    found.link(self, node, &far);
                     n_covered = n_covered.saturating_add(n);
                 }
                 // Node ids are below 2^32 - 1, the parent of the root.

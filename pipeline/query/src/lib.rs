@@ -4,7 +4,9 @@
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
 //! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`], [`Map::sees_counts`]
-//! how much every surfel sees. The room opens no file and prints nothing; it reads only the blocks
+//! how much every surfel sees. [`Map::region`] weighs the points around two places against each
+//! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
+//! place. The room opens no file and prints nothing; it reads only the blocks
 //! a question needs, trusts no byte of them, and a [`Map`] may be asked from many threads at once.
 //! Decoded links are kept in a cache of fixed size (`frames`), so a batch of any length takes
 //! bounded memory.
@@ -19,13 +21,20 @@ mod locate;
 mod map;
 mod pair;
 mod part;
+mod ray;
+mod region;
 mod sees_counts;
+mod segment;
 mod set;
+mod shadow;
 mod visible_from;
 
 pub use error::{ErrorKind, QueryError};
 pub use locate::{Located, Place, Snap};
 pub use map::Map;
 pub use pair::{Link, PairAnswer};
+pub use ray::{Hit, RayAnswer};
+pub use region::{Ball, RegionAnswer, Sight};
 pub use set::SurfelSet;
+pub use shadow::{Light, ShadowAnswer};
 pub use visible_from::VisibleSet;

@@ -98,15 +98,33 @@ impl Map<'_> {
         self.within(place, snap, &found)
     }
 
-    /// Leads a place onto the grid.
-    fn target_of(&self, place: &Place) -> Result<Target, QueryError> {
-        let Place { position, normal } = *place;
+    /// Finds the surfel that answers for a place, or none where the place is in the air: outside
+    /// the cube or beyond the snap limit.
+    ///
+    /// # Errors
+    /// Those of [`Map::locate`] that are about something else.
+    pub fn surface_at(&self, place: &Place, snap: Snap) -> Result<Option<Located>, QueryError> {
+        match self.locate(place, snap) {
+            Ok(located) => Ok(Some(located)),
+            Err(QueryError::OutsideCube { .. } | QueryError::NoSurface { .. }) => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// Leads a position onto the grid.
+    pub(crate) fn grid_of(&self, position: [f64; 3]) -> Result<GridPoint, QueryError> {
         let frame = &self.view().frame().frame;
-        let g = frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
+        frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
             place: position,
             min: frame.world_of_real([0.0; 3]),
             max: frame.world_of_real([f64::from(grid::GRID_MAX); 3]),
-        })?;
+        })
+    }
+
+    /// Leads a place onto the grid.
+    fn target_of(&self, place: &Place) -> Result<Target, QueryError> {
+        let Place { position, normal } = *place;
+        let g = self.grid_of(position)?;
         let quantised = match normal {
             None => None,
             Some(normal) => {

@@ -1,7 +1,7 @@
 //! The map that is asked, and the checked way to its nodes and surfels.
 
 use pvmap_geometry::disc::Profile;
-use pvmap_geometry::{Box3, morton};
+use pvmap_geometry::{Box3, grid, morton};
 use pvmap_vmap::map::profile_of;
 use pvmap_vmap::records::Record;
 use pvmap_vmap::tree::Nodes;
@@ -13,6 +13,9 @@ use crate::locate::Located;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
+
+/// The last grid coordinate.
+const LAST_STEP: i32 = grid::GRID_MAX as i32;
 
 /// An open map that answers questions, from many threads at once if need be.
 #[derive(Debug)]
@@ -52,6 +55,18 @@ impl<'a> Map<'a> {
     /// Says whether the build started from given pairs instead of all siblings. [V-5]
     pub fn from_given_pairs(&self) -> bool {
         self.from_given_pairs
+    }
+
+    /// Gives the cell of a node in world units, lowest and highest corner.
+    ///
+    /// # Errors
+    /// Where there is no such node or its block is damaged.
+    pub fn cell_of(&self, node: u32) -> Result<[[f64; 3]; 2], QueryError> {
+        let cell = self.view.node(node)?.cell();
+        let frame = &self.view.frame().frame;
+        // The last cells end one step beyond the cube.
+        let corner = |g: [i32; 3]| frame.world_of_real(g.map(|v| f64::from(v.min(LAST_STEP))));
+        Ok([corner(cell.min), corner(cell.max)])
     }
 
     /// Counts the link frames decoded so far: what questions have read of the links.

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use pvmap_geometry::Box3;
 use pvmap_vmap::tree::Nodes;
 use pvmap_vmap::{FormatError, Node, Surfel};
 
@@ -10,6 +11,7 @@ use crate::map::Map;
 /// How a cell lies to a part of space.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Holds {
+    All,
     Some,
     Nothing,
 }
@@ -48,6 +50,36 @@ impl Part {
         )
     }
 
+    /// Makes the part of the surfels whose centroids lie in a part of space: `cell` says how a
+    /// closed box lies to it, `centroid` whether it holds a place.
+    pub(crate) fn of_space(
+        map: &Map<'_>,
+        cell: impl Fn(&Box3) -> Holds,
+        centroid: impl Fn([i32; 3]) -> bool,
+    ) -> Result<Part, FormatError> {
+        // A mean of points never leaves their cell.
+        let inside = |surfel: &Surfel, _| centroid(surfel.centroid.map(|v| v as i32));
+        Part::chosen(map, |node| cell(&node.cell()), inside)
+    }
+
+    /// Makes the part of some surfels, rising, that count so many points each.
+    pub(crate) fn weighted(map: &Map<'_>, surfels: &[(u32, u64)]) -> Result<Part, FormatError> {
+        let has = |ids: Range<u32>| {
+            surfels.get(surfels.partition_point(|s| s.0 < ids.start)).is_some_and(|s| s.0 < ids.end)
+        };
+        let of_node = |node: &Node| {
+            if has(node.first_surfel..node.end_surfel) { Holds::Some } else { Holds::Nothing }
+        };
+        let mut part = Part::chosen(map, of_node, |_, id| has(id..id + 1))?;
+        let mut sum = 0u64;
+        for (run, before) in part.runs.iter().zip(&mut part.before[1..]) {
+            let i = surfels.partition_point(|s| s.0 < run.start);
+            sum = sum.saturating_add(surfels[i].1);
+            before.1 = sum;
+        }
+        Ok(part)
+    }
+
     /// Makes the part of the surfels that two rules choose: one for nodes, one for leaves of nodes
     /// that hold `Some`.
     pub(crate) fn chosen(
@@ -60,6 +92,10 @@ impl Part {
         while let Some((id, node)) = open.pop() {
             match of_node(&node) {
                 Holds::Nothing => {}
+                Holds::All => {
+                    part.push_node(id..node.end);
+                    part.push_run(map, id, &node)?;
+                }
                 Holds::Some if node.is_leaf() => {
                     if of_surfel(&map.surfel_of(id, &node)?, node.first_surfel) {
                         part.push_node(id..node.end);
@@ -99,9 +135,19 @@ impl Part {
         Ok(())
     }
 
+    /// Gives the runs of surfels.
+    pub(crate) fn runs(&self) -> &[Range<u32>] {
+        &self.runs
+    }
+
     /// Counts the surfels.
     pub(crate) fn n_surfels(&self) -> u32 {
         self.before.last().map_or(0, |b| b.0)
+    }
+
+    /// Counts the points.
+    pub(crate) fn n_points(&self) -> u64 {
+        self.before.last().map_or(0, |b| b.1)
     }
 
     /// Counts the surfels with ids below one.
@@ -114,6 +160,19 @@ impl Part {
     /// Counts the surfels under a node.
     pub(crate) fn n_under(&self, node: &Node) -> u32 {
         self.n_below(node.end_surfel) - self.n_below(node.first_surfel)
+    }
+
+    /// Counts the points under a node. Runs are whole subtrees: the node is in one or holds its
+    /// own.
+    pub(crate) fn n_points_under(&self, node: &Node) -> u64 {
+        let i = self.runs.partition_point(|run| run.end <= node.first_surfel);
+        let own = node.first_surfel..node.end_surfel;
+        let is_in = |run: &Range<u32>| run.start <= own.start && own.end <= run.end;
+        if self.runs.get(i).is_some_and(|run| is_in(run) && *run != own) {
+            return node.n_points;
+        }
+        let j = self.runs.partition_point(|run| run.start < node.end_surfel);
+        self.before[j].1.saturating_sub(self.before[i].1)
     }
 
     /// Gives the first node from an id on.

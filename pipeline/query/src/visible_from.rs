@@ -59,7 +59,7 @@ struct Seen<const FAR: bool> {
 }
 
 impl<const FAR: bool> Tally for Seen<FAR> {
-    fn link(&mut self, from: &Node, to: &Node) {
+    fn link(&mut self, _: &Walk<'_, '_>, from: &Node, to: &Node) {
         let side = if FAR { to } else { from };
         self.ranges.push(side.first_surfel..side.end_surfel);
         self.n_links += 1;

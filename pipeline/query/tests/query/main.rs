@@ -6,6 +6,8 @@ mod common;
 mod hostile;
 mod locate;
 mod pair;
+mod rays;
+mod regions;
 mod sound;
 mod speed;
 mod visible;

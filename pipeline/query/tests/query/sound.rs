@@ -8,7 +8,6 @@ use pvmap_vmap::{Shape, Tree};
 use crate::common::{About, Cut, Parts, Sample, grow, siblings};
 
 /// A map with the truth it was made from.
-#[allow(dead_code, reason = "tests of rays read the discs")]
 pub(crate) struct Sound {
     pub(crate) tree: Tree,
     pub(crate) profile: Profile,
@@ -42,7 +41,11 @@ impl Sound {
             };
             a == b || disc::faces_both(&discs[a], &discs[b]) && !(0..n).any(blocked)
         };
-        let visible = (0..n * n).map(|i| sees(i / n, i % n)).collect();
+        let mut visible = vec![false; n * n];
+        for (a, b) in (0..n).flat_map(|a| (a..n).map(move |b| (a, b))) {
+            let sees = sees(a, b);
+            (visible[a * n + b], visible[b * n + a]) = (sees, sees);
+        }
         let mut map = Sound { tree, profile, discs, file: Vec::new(), n_links: 0, visible };
         let mut links = Vec::new();
         for (a, b) in siblings(&map.tree) {
@@ -81,20 +84,22 @@ impl Sound {
     }
 }
 
-/// Gives points on the inner faces of a box, with normals to the inside.
-pub(crate) fn room(rng: &mut Rng, n: usize) -> Vec<Sample> {
+/// Gives points on the inner faces of a box, about k × k on each, with normals to the inside.
+pub(crate) fn room(rng: &mut Rng, k: u32) -> Vec<Sample> {
     let last = (1 << 22) - 1;
-    let point = |i: usize| {
-        let (axis, high) = (i % 3, i / 3 % 2 == 1);
-        let mut g = [0; 3].map(|_| rng.u32(..=last));
-        g[axis] = if high { last } else { 0 };
+    let mut points = Vec::new();
+    for (face, cell) in (0..6).flat_map(|face| (0..k * k).map(move |cell| (face, cell))) {
+        let (axis, high) = (face % 3, face / 3 == 1);
+        let side = (1 << 22) / k;
+        let mut g = [cell / k, cell % k, 0].map(|i| i * side + rng.u32(side / 4..side * 3 / 4));
+        g[2] = if high { last } else { 0 };
+        g.rotate_left(2 - axis);
         let mut normal = [0; 3];
         normal[axis] = if high { -(1 << 14) } else { 1 << 14 };
-        (g, normal)
-    };
-    let mut points: Vec<Sample> = (0..n).map(point).collect();
+        points.push((g, normal));
+    }
     points[0].0 = [0; 3];
-    points[3].0 = [last; 3];
+    points.push(([last; 3], [-(1 << 14), 0, 0]));
     points
 }
 
@@ -122,14 +127,14 @@ pub(crate) fn plates(rng: &mut Rng, n: usize) -> Vec<Sample> {
 pub(crate) fn maps(seed: u64, n: usize) -> impl Iterator<Item = Sound> {
     let mut rng = Rng::with_seed(seed);
     (0..n).map(move |round| {
-        let mut points = room(&mut rng, 240);
+        let mut points = room(&mut rng, 6);
         if round % 4 != 0 {
-            points.extend(plates(&mut rng, 50));
+            points.extend(plates(&mut rng, 25));
         }
         let shape = if round % 3 != 0 { Shape::Binned } else { Shape::Paper };
         let profile = if round % 2 == 0 { Profile::Patch } else { Profile::Paper };
-        let leaf_capacity = rng.usize(3..9);
-        let cut = Cut { shape, leaf_capacity, max_level: 6, few: 1 << 17 };
+        let leaf_capacity = rng.usize(3..6);
+        let cut = Cut { shape, leaf_capacity, max_level: 5, few: 3 << 18 };
         Sound::new(&points, cut, profile)
     })
 }
