@@ -19,6 +19,7 @@ mod error;
 mod frames;
 mod locate;
 mod map;
+mod near;
 mod pair;
 mod part;
 mod ray;

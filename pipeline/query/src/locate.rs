@@ -90,7 +90,7 @@ impl Map<'_> {
         let target = self.target_of(place)?;
         let found = match self.routed(&target)? {
             Some(found) => found,
-            None => match self.best(&target, |node| holds(node, target.g).then_some(0))? {
+            None => match self.holding(&target)? {
                 Some(found) => found,
                 None => self.nearest(&target)?.ok_or(QueryError::Empty)?,
             },
@@ -149,6 +149,16 @@ impl Map<'_> {
         Ok(None)
     }
 
+    /// Finds the best leaf among those whose closed cell holds the place.
+    fn holding(&self, target: &Target) -> Result<Option<Found>, FormatError> {
+        let Some(near) = self.near(target.g) else {
+            return self.best(target, |node| holds(&node.cell(), target.g).then_some(0));
+        };
+        let held = near.iter().filter(|leaf| holds(&leaf.cell, target.g));
+        let found = held.map(|leaf| self.fit(target, leaf.node, leaf.id, &leaf.surfel));
+        Ok(found.min_by_key(|found| found.fit))
+    }
+
     /// Finds the best of all leaves.
     fn nearest(&self, target: &Target) -> Result<Option<Found>, FormatError> {
         let g = target.g.map(|v| v as i32);
@@ -192,18 +202,22 @@ impl Map<'_> {
 
     /// Says how well a leaf answers.
     fn judge(&self, target: &Target, id: u32, leaf: &Node) -> Result<Found, FormatError> {
-        let surfel = self.surfel_of(id, leaf)?;
+        Ok(self.fit(target, id, leaf.first_surfel, &self.surfel_of(id, leaf)?))
+    }
+
+    /// Says how well a surfel answers.
+    fn fit(&self, target: &Target, node: u32, id: u32, surfel: &Surfel) -> Found {
         let g = target.g.map(|v| v as i32);
         let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(surfel.centroid[i]));
         let along = dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from));
         let fit = Fit {
-            distance2: self.answering_box(&surfel).distance2(g),
+            distance2: self.answering_box(surfel).distance2(g),
             // The sign of a two-sided surfel's normal says nothing.
             along: Reverse(if surfel.two_sided { along.abs() } else { along }),
             off_plane: dot(surfel.normal, off).unsigned_abs(),
-            surfel: leaf.first_surfel,
+            surfel: id,
         };
-        Ok(Found { fit, node: id, half_spacing: surfel.half_spacing })
+        Found { fit, node, half_spacing: surfel.half_spacing }
     }
 
     /// Gives the box that distances to a surfel are taken to.
@@ -232,9 +246,8 @@ impl Map<'_> {
     }
 }
 
-/// Decides whether a node's closed cell holds a place.
-fn holds(node: &Node, g: GridPoint) -> bool {
-    let cell = node.cell();
+/// Decides whether a closed cell holds a place.
+fn holds(cell: &Box3, g: GridPoint) -> bool {
     (0..3).all(|i| (cell.min[i]..=cell.max[i]).contains(&(g[i] as i32)))
 }
 

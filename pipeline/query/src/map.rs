@@ -10,6 +10,7 @@ use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 use crate::error::QueryError;
 use crate::frames::LinkFrames;
 use crate::locate::Located;
+use crate::near::Spots;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
@@ -24,6 +25,7 @@ pub struct Map<'a> {
     profile: Profile,
     from_given_pairs: bool,
     pub(crate) frames: LinkFrames,
+    pub(crate) spots: Spots,
 }
 
 impl<'a> Map<'a> {
@@ -39,7 +41,8 @@ impl<'a> Map<'a> {
             None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
         };
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
-        Ok(Map { view, profile, from_given_pairs, frames: LinkFrames::default() })
+        let (frames, spots) = (LinkFrames::default(), Spots::new(view.summary().n_surfels));
+        Ok(Map { view, profile, from_given_pairs, frames, spots })
     }
 
     /// Gives the file behind the answers.
