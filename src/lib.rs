@@ -40,6 +40,7 @@
 
 pub mod accuracy;
 mod build;
+mod classes;
 pub mod config;
 mod error;
 mod ingest;
@@ -48,6 +49,7 @@ pub mod rows;
 pub mod scenes;
 
 pub use build::{Built, Checkpoints, build, build_with, open_octree};
+pub use classes::class_points;
 pub use config::BuildConfig;
 pub use error::Error;
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};

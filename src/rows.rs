@@ -12,10 +12,13 @@ use crate::Error;
 /// The longest a row may be: twelve numbers take 300 bytes, the rest is for columns of others.
 const MAX_ROW_BYTES: u64 = 1 << 16;
 
+/// Room made for a row: six numbers of ten digits fit.
+const ROW_BYTES: usize = 96;
+
 /// The rows of a CSV file or of standard input, with the header row read. A row may have any number
 /// of columns.
 pub struct Rows {
-    reader: csv::Reader<Guard<Box<dyn Read>>>,
+    reader: csv::Reader<Guard<Box<dyn Read + Send>>>,
     header: StringRecord,
     path: PathBuf,
     /// The line on which the row read last begins.
@@ -34,8 +37,8 @@ impl Rows {
     /// # Errors
     /// Where it cannot be opened or the header row cannot be read.
     pub fn open(path: &Path) -> Result<Rows, Error> {
-        let input: Box<dyn Read> = match path.as_os_str() == "-" {
-            true => return Rows::of(Box::new(io::stdin().lock()), Path::new("standard input")),
+        let input: Box<dyn Read + Send> = match path.as_os_str() == "-" {
+            true => return Rows::of(Box::new(io::stdin()), Path::new("standard input")),
             false if path.is_dir() => {
                 return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
             }
@@ -52,17 +55,14 @@ impl Rows {
         Rows::of(Box::new(InputFile::open(path)?), path)
     }
 
-    fn of(input: Box<dyn Read>, path: &Path) -> Result<Rows, Error> {
+    fn of(input: Box<dyn Read + Send>, path: &Path) -> Result<Rows, Error> {
         let guard =
             Guard { input, n_given: 0, given: Vec::new(), row_start: 0, is_ahead: true, n_ends: 0 };
-        let reader = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .flexible(true)
-            .has_headers(false)
-            .from_reader(guard);
+        let reader = csv::ReaderBuilder::new().flexible(true).has_headers(false).from_reader(guard);
         let mut rows =
             Rows { reader, header: StringRecord::new(), path: path.to_path_buf(), line: 1 };
         rows.header = rows.read()?.unwrap_or_default();
+        rows.header.trim();
         Ok(rows)
     }
 
@@ -81,14 +81,15 @@ impl Rows {
         self.line
     }
 
-    /// Reads the next row; none at the end.
+    /// Reads the next row, cells as they stand, with their blanks; none at the end.
     ///
     /// # Errors
     /// Where the row is too long or no text, or the disk fails; the error names its line.
     pub fn read(&mut self) -> Result<Option<StringRecord>, Error> {
         let (start, line) = (self.reader.position().byte(), self.reader.position().line());
         self.reader.get_mut().begin_row(start);
-        let mut row = StringRecord::new();
+        // One allocation for the text of a usual row, one for its cells.
+        let mut row = StringRecord::with_capacity(ROW_BYTES, self.header.len().max(8));
         let read = self.reader.read_record(&mut row);
         let line = line + self.reader.get_ref().n_ends;
         self.line = line;

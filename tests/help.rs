@@ -7,13 +7,18 @@ mod cli_common;
 use cli_common::{Bench, room};
 
 /// Every page of help: its name, and what asks for it.
-const PAGES: [(&str, &str); 12] = [
+const PAGES: [(&str, &str); 17] = [
     ("pvmap", "--help"),
     ("ingest", "ingest --help"),
     ("build", "build --help"),
     ("query", "query --help"),
     ("query_pair", "query a.vmap pair --help"),
     ("query_pairs", "query a.vmap pairs --help"),
+    ("query_visible_from", "query a.vmap visible-from --help"),
+    ("query_sees_count", "query a.vmap sees-count --help"),
+    ("query_region", "query a.vmap region --help"),
+    ("query_ray", "query a.vmap ray --help"),
+    ("query_shadow", "query a.vmap shadow --help"),
     ("info", "info --help"),
     ("verify", "verify --help"),
     ("export", "export --help"),

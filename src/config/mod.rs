@@ -247,7 +247,7 @@ fn read_pairs(
             let n = row.len();
             return fail(line, format!("{n} columns, where the header has {n_columns}"));
         }
-        let [text_a, text_b] = [&row[a], &row[b]];
+        let [text_a, text_b] = [row[a].trim(), row[b].trim()];
         match (text_a.parse(), text_b.parse()) {
             (Ok(a), Ok(b)) => each(line, (a, b))?,
             (Err(_), _) => return fail(line, format!("{text_a:?} is no node id")),

@@ -97,21 +97,36 @@ impl Frame {
     pub fn grid_of_query(&self, x: [f64; 3]) -> Result<GridPoint, OutsideCube> {
         let mut g = [0; 3];
         for i in 0..3 {
-            let delta = match *self {
-                Frame::World { min, .. } => x[i] - min[i],
-                Frame::Lattice { scale, offset, min, .. } => {
-                    let steps = (x[i] - offset[i]) / scale[i];
-                    let whole = steps.round();
-                    let near = (steps - whole).abs() <= LATTICE_SNAP;
-                    ((if near { whole } else { steps }) - min[i] as f64) * scale[i]
-                }
-            };
+            let delta = self.delta(x, i);
             if !(delta >= 0.0 && delta <= self.extent()) {
                 return Err(OutsideCube);
             }
             g[i] = step(delta, self.extent());
         }
         Ok(g)
+    }
+
+    /// Gives a query's way from the cube's lowest corner in grid steps, not yet rounded down:
+    /// where [`Frame::grid_of_query`] gives a place this is it or the fraction of a step beyond.
+    /// Outside the cube, too; infinite there if the cube has no size.
+    pub fn steps_of_query(&self, x: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|i| match self.delta(x, i) {
+            0.0 => 0.0,
+            delta => delta / self.extent() * f64::from(GRID_MAX),
+        })
+    }
+
+    /// Gives how far a query's coordinate is from the cube's least.
+    fn delta(&self, x: [f64; 3], i: usize) -> f64 {
+        match *self {
+            Frame::World { min, .. } => x[i] - min[i],
+            Frame::Lattice { scale, offset, min, .. } => {
+                let steps = (x[i] - offset[i]) / scale[i];
+                let whole = steps.round();
+                let near = (steps - whole).abs() <= LATTICE_SNAP;
+                ((if near { whole } else { steps }) - min[i] as f64) * scale[i]
+            }
+        }
     }
 
     /// Gives the world coordinates of the middle of a grid step; of the last one, the cube's face.
@@ -172,6 +187,7 @@ mod tests {
         for bad in [-1e-9, 2.0000001, f64::NAN, f64::INFINITY] {
             assert_eq!(f.grid_of_query([0.0, bad, 0.0]), Err(OutsideCube));
         }
+        assert_eq!(f.steps_of_query([0.0, 2.0, -2.0]), [0.0, 4194303.0, -4194303.0]);
     }
 
     proptest! {

@@ -67,6 +67,18 @@ pub enum QueryError {
          built from, or build a map of this one"
     )]
     OtherOctree,
+    /// The radius of a ball is none.
+    #[error("the radius {0} is negative or not a number; give one of 0 or more")]
+    Radius(f64),
+    /// No surfel lies in a part of the scan that was asked about.
+    #[error("no surfel's centre lies {0}; make it larger or move it")]
+    NothingThere(String),
+    /// A direction is none.
+    #[error("the direction {} is zero or not finite; give one that leads somewhere", commas(.0))]
+    Direction([f64; 3]),
+    /// A place is none.
+    #[error("the place {} is not finite; give three numbers", commas(.0))]
+    NoPlace([f64; 3]),
     /// The map cannot be read.
     #[error(transparent)]
     Format(#[from] FormatError),
@@ -92,20 +104,25 @@ impl QueryError {
     /// Says whom the error concerns.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            QueryError::Normal { .. } | QueryError::SnapDistance(_) | QueryError::Delta(_) => {
-                ErrorKind::Usage
-            }
+            QueryError::Normal { .. }
+            | QueryError::SnapDistance(_)
+            | QueryError::Delta(_)
+            | QueryError::Radius(_)
+            | QueryError::Direction(_)
+            | QueryError::NoPlace(_) => ErrorKind::Usage,
             QueryError::NoPoints | QueryError::OtherOctree | QueryError::Octree(_) => {
                 ErrorKind::Octree
             }
-            QueryError::OutsideCube { .. } | QueryError::NoSurface { .. } => ErrorKind::Place,
+            QueryError::OutsideCube { .. }
+            | QueryError::NoSurface { .. }
+            | QueryError::NothingThere(_) => ErrorKind::Place,
             QueryError::Empty | QueryError::Format(_) => ErrorKind::Map,
         }
     }
 }
 
 /// Writes a vector as the command line takes it: `x,y,z`.
-fn commas<T: std::fmt::Display>(v: &[T; 3]) -> String {
+pub(crate) fn commas<T: std::fmt::Display>(v: &[T; 3]) -> String {
     format!("{},{},{}", v[0], v[1], v[2])
 }
 

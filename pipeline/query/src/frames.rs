@@ -1,5 +1,6 @@
 //! Link frames, decoded and kept for the next question.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pvmap_vmap::links::LinkLists;
@@ -22,15 +23,22 @@ struct LinkFrame {
 #[derive(Debug)]
 pub(crate) struct LinkFrames {
     slots: Box<[Mutex<Option<Arc<LinkFrame>>>]>,
+    n_decoded: AtomicU64,
 }
 
 impl Default for LinkFrames {
     fn default() -> LinkFrames {
-        LinkFrames { slots: (0..N_SLOTS).map(|_| Mutex::default()).collect() }
+        let slots = (0..N_SLOTS).map(|_| Mutex::default()).collect();
+        LinkFrames { slots, n_decoded: AtomicU64::new(0) }
     }
 }
 
 impl LinkFrames {
+    /// Counts the frames decoded so far, those decoded again too.
+    pub(crate) fn n_decoded(&self) -> u64 {
+        self.n_decoded.load(Ordering::Relaxed)
+    }
+
     /// Gives a frame, decoding it unless it is still here.
     fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<LinkFrame>, FormatError> {
         let slot = &self.slots[(index % N_SLOTS as u64) as usize];
@@ -41,6 +49,7 @@ impl LinkFrames {
         // Decoded outside the lock: others may use the slot meanwhile, at worst twice the work.
         let block = view.link_block(index)?;
         let lists = view.link_lists(index)?;
+        self.n_decoded.fetch_add(1, Ordering::Relaxed);
         let frame = Arc::new(LinkFrame { index, first: block.first, last: block.last, lists });
         *kept() = Some(Arc::clone(&frame));
         Ok(frame)
@@ -68,5 +77,23 @@ impl<'m, 'a> Lookup<'m, 'a> {
             self.frame = Some(self.frames.get(self.view, index)?);
         }
         Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
+    }
+    /// Finds the least partner of `a` that is `from` or later, reading the one frame it is in.
+    pub(crate) fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
+        let here = |f: &Arc<LinkFrame>| f.first <= (a, from) && (a, from) <= f.last;
+        if !self.frame.as_ref().is_some_and(here) {
+            let index = self.view.link_block_from(a, from)?;
+            if index == self.view.n_link_blocks() {
+                return Ok(None);
+            }
+            let first = self.view.link_block(index)?.first;
+            if first >= (a, from) {
+                // The index says it all.
+                return Ok((first.0 == a).then_some(first.1));
+            }
+            self.frame = Some(self.frames.get(self.view, index)?);
+        }
+        let partners = self.frame.as_ref().map_or(&[][..], |f| f.lists.partners_of(a));
+        Ok(partners.get(partners.partition_point(|&b| b < from)).copied())
     }
 }

@@ -3,23 +3,40 @@
 //! [`Map`] wraps the bytes of a whole map file. [`Map::locate`] leads a place in world units to
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
-//! map. The room opens no file and prints nothing; it reads
-//! only the blocks a question needs, trusts no byte of them, and a [`Map`] may be asked from many
-//! threads at once. Decoded links are kept in a cache of fixed size (`frames`), so a batch of any
-//! length takes bounded memory. [`exact::Exact`] puts the same question to the points of the
-//! octree instead ([V-7]).
+//! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`], [`Map::sees_counts`]
+//! how much every surfel sees. [`Map::region`] weighs the points around two places against each
+//! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
+//! place; [`exact::Exact`] asks the points of the octree whether two of them see each other
+//! ([V-7]). The room opens no file and prints nothing; it reads only the blocks a question needs,
+//! trusts no byte of them, and a [`Map`] may be asked from many threads at once. Decoded links are
+//! kept in a cache of fixed size (`frames`), so a batch of any length takes bounded memory.
 //!
 //! Start reading at [`Map`], then [`Map::locate`] and [`Map::pair`].
 
 mod batch;
+mod between;
 mod error;
 pub mod exact;
 mod frames;
 mod locate;
 mod map;
+mod near;
 mod pair;
+mod part;
+mod ray;
+mod region;
+mod sees_counts;
+mod segment;
+mod set;
+mod shadow;
+mod visible_from;
 
 pub use error::{ErrorKind, QueryError};
 pub use locate::{Located, Place, Snap};
 pub use map::Map;
 pub use pair::{Link, PairAnswer};
+pub use ray::{Hit, RayAnswer};
+pub use region::{Ball, RegionAnswer, Sight};
+pub use set::SurfelSet;
+pub use shadow::{Light, ShadowAnswer};
+pub use visible_from::VisibleSet;

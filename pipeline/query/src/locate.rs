@@ -50,14 +50,19 @@ pub(crate) struct Target {
     pub(crate) normal: Option<Normal>,
 }
 
-/// Leads a place onto the grid.
-pub(crate) fn target_of(frame: &Frame, place: &Place) -> Result<Target, QueryError> {
-    let Place { position, normal } = *place;
-    let g = frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
+/// Leads a position onto the grid.
+fn grid_of(frame: &Frame, position: [f64; 3]) -> Result<GridPoint, QueryError> {
+    frame.grid_of_query(position).map_err(|_| QueryError::OutsideCube {
         place: position,
         min: frame.world_of_real([0.0; 3]),
         max: frame.world_of_real([f64::from(grid::GRID_MAX); 3]),
-    })?;
+    })
+}
+
+/// Leads a place onto the grid.
+pub(crate) fn target_of(frame: &Frame, place: &Place) -> Result<Target, QueryError> {
+    let Place { position, normal } = *place;
+    let g = grid_of(frame, position)?;
     let quantised = match normal {
         None => None,
         Some(normal) => {
@@ -108,12 +113,30 @@ impl Map<'_> {
         let target = target_of(&self.view().frame().frame, place)?;
         let found = match self.routed(&target)? {
             Some(found) => found,
-            None => match self.best(&target, |node| holds(node, target.g).then_some(0))? {
+            None => match self.holding(&target)? {
                 Some(found) => found,
                 None => self.nearest(&target)?.ok_or(QueryError::Empty)?,
             },
         };
         self.within(place, snap, &found)
+    }
+
+    /// Finds the surfel that answers for a place, or none where the place is in the air: outside
+    /// the cube or beyond the snap limit.
+    ///
+    /// # Errors
+    /// Those of [`Map::locate`] that are about something else.
+    pub fn surface_at(&self, place: &Place, snap: Snap) -> Result<Option<Located>, QueryError> {
+        match self.locate(place, snap) {
+            Ok(located) => Ok(Some(located)),
+            Err(QueryError::OutsideCube { .. } | QueryError::NoSurface { .. }) => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// Leads a position onto the grid.
+    pub(crate) fn grid_of(&self, position: [f64; 3]) -> Result<GridPoint, QueryError> {
+        grid_of(&self.view().frame().frame, position)
     }
 
     /// Finds the leaf that would hold a stored point like this one.
@@ -128,6 +151,16 @@ impl Map<'_> {
             }
         }
         Ok(None)
+    }
+
+    /// Finds the best leaf among those whose closed cell holds the place.
+    fn holding(&self, target: &Target) -> Result<Option<Found>, FormatError> {
+        let Some(near) = self.near(target.g) else {
+            return self.best(target, |node| holds(&node.cell(), target.g).then_some(0));
+        };
+        let held = near.iter().filter(|leaf| holds(&leaf.cell, target.g));
+        let found = held.map(|leaf| self.fit(target, leaf.node, leaf.id, &leaf.surfel));
+        Ok(found.min_by_key(|found| found.fit))
     }
 
     /// Finds the best of all leaves.
@@ -173,18 +206,22 @@ impl Map<'_> {
 
     /// Says how well a leaf answers.
     fn judge(&self, target: &Target, id: u32, leaf: &Node) -> Result<Found, FormatError> {
-        let surfel = self.surfel_of(id, leaf)?;
+        Ok(self.fit(target, id, leaf.first_surfel, &self.surfel_of(id, leaf)?))
+    }
+
+    /// Says how well a surfel answers.
+    fn fit(&self, target: &Target, node: u32, id: u32, surfel: &Surfel) -> Found {
         let g = target.g.map(|v| v as i32);
         let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(surfel.centroid[i]));
         let along = dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from));
         let fit = Fit {
-            distance2: self.answering_box(&surfel).distance2(g),
+            distance2: self.answering_box(surfel).distance2(g),
             // The sign of a two-sided surfel's normal says nothing.
             along: Reverse(if surfel.two_sided { along.abs() } else { along }),
             off_plane: dot(surfel.normal, off).unsigned_abs(),
-            surfel: leaf.first_surfel,
+            surfel: id,
         };
-        Ok(Found { fit, node: id, half_spacing: surfel.half_spacing })
+        Found { fit, node, half_spacing: surfel.half_spacing }
     }
 
     /// Gives the box that distances to a surfel are taken to.
@@ -213,9 +250,8 @@ impl Map<'_> {
     }
 }
 
-/// Decides whether a node's closed cell holds a place.
-fn holds(node: &Node, g: GridPoint) -> bool {
-    let cell = node.cell();
+/// Decides whether a closed cell holds a place.
+fn holds(cell: &Box3, g: GridPoint) -> bool {
     (0..3).all(|i| (cell.min[i]..=cell.max[i]).contains(&(g[i] as i32)))
 }
 

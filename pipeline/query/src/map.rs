@@ -1,7 +1,7 @@
 //! The map that is asked, and the checked way to its nodes and surfels.
 
 use pvmap_geometry::disc::Profile;
-use pvmap_geometry::{Box3, morton};
+use pvmap_geometry::{Box3, grid, morton};
 use pvmap_vmap::map::profile_of;
 use pvmap_vmap::records::Record;
 use pvmap_vmap::tree::Nodes;
@@ -9,9 +9,14 @@ use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
 use crate::error::QueryError;
 use crate::frames::LinkFrames;
+use crate::locate::Located;
+use crate::near::Spots;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
+
+/// The last grid coordinate.
+const LAST_STEP: i32 = grid::GRID_MAX as i32;
 
 /// An open map that answers questions, from many threads at once if need be.
 #[derive(Debug)]
@@ -20,6 +25,7 @@ pub struct Map<'a> {
     profile: Profile,
     from_given_pairs: bool,
     pub(crate) frames: LinkFrames,
+    pub(crate) spots: Spots,
 }
 
 impl<'a> Map<'a> {
@@ -35,7 +41,8 @@ impl<'a> Map<'a> {
             None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
         };
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
-        Ok(Map { view, profile, from_given_pairs, frames: LinkFrames::default() })
+        let (frames, spots) = (LinkFrames::default(), Spots::new(view.summary().n_surfels));
+        Ok(Map { view, profile, from_given_pairs, frames, spots })
     }
 
     /// Gives the file behind the answers.
@@ -51,6 +58,23 @@ impl<'a> Map<'a> {
     /// Says whether the build started from given pairs instead of all siblings. [V-5]
     pub fn from_given_pairs(&self) -> bool {
         self.from_given_pairs
+    }
+
+    /// Gives the cell of a node in world units, lowest and highest corner.
+    ///
+    /// # Errors
+    /// Where there is no such node or its block is damaged.
+    pub fn cell_of(&self, node: u32) -> Result<[[f64; 3]; 2], QueryError> {
+        let cell = self.view.node(node)?.cell();
+        let frame = &self.view.frame().frame;
+        // The last cells end one step beyond the cube.
+        let corner = |g: [i32; 3]| frame.world_of_real(g.map(|v| f64::from(v.min(LAST_STEP))));
+        Ok([corner(cell.min), corner(cell.max)])
+    }
+
+    /// Counts the link frames decoded so far: what questions have read of the links.
+    pub fn n_frames_decoded(&self) -> u64 {
+        self.frames.n_decoded()
     }
 
     /// Reads the root, checking that it is the whole cube; none in a map without points.
@@ -92,6 +116,15 @@ impl<'a> Map<'a> {
             least_slot = child.as_ref().map_or(0, |child| child.slot + 1);
             Some(child.map(|child| (child_id, child)))
         })
+    }
+
+    /// Reads the leaf and the surfel of a located place, checking that they are of this map.
+    pub(crate) fn leaf_of(&self, place: &Located) -> Result<(Node, Surfel), FormatError> {
+        let leaf = self.view.node(place.node)?;
+        if !leaf.is_leaf() || leaf.first_surfel != place.surfel {
+            return Err(self.broken_node(place.node, "is not the leaf of that surfel"));
+        }
+        Ok((leaf, self.surfel_of(place.node, &leaf)?))
     }
 
     /// Reads the surfel of a leaf, checking that it is the leaf's.

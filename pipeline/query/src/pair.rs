@@ -1,8 +1,8 @@
 //! Whether two places see each other, and by which link. Source: DESIGN.md [V-5], [V-6].
 
-use pvmap_vmap::FormatError;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::Nodes;
+use pvmap_vmap::{FormatError, Node};
 
 use crate::error::QueryError;
 use crate::frames::Lookup;
@@ -25,6 +25,8 @@ pub struct Link {
     pub nodes: (u32, u32),
     /// The points in each: so many pairs the link settles at once.
     pub n_points: (u64, u64),
+    /// The surfels in each, the first and one past the last: all of these see each other.
+    pub surfels: ((u32, u32), (u32, u32)),
 }
 
 impl Map<'_> {
@@ -56,8 +58,10 @@ impl Map<'_> {
         (x, y): (u32, u32),
     ) -> Result<PairAnswer, QueryError> {
         let nodes = if a.node < b.node { (x, y) } else { (y, x) };
-        let n_points = |id| self.view().node(id).map(|node| node.n_points);
-        let link = Link { nodes, n_points: (n_points(nodes.0)?, n_points(nodes.1)?) };
+        let (a, b) = (self.view().node(nodes.0)?, self.view().node(nodes.1)?);
+        let surfels = |node: &Node| (node.first_surfel, node.end_surfel);
+        let link =
+            Link { nodes, n_points: (a.n_points, b.n_points), surfels: (surfels(&a), surfels(&b)) };
         Ok(PairAnswer { visible: true, link: Some(link) })
     }
 

@@ -123,6 +123,17 @@ impl<'a> MapView<'a> {
     /// # Errors
     /// Where a touched block of the index is damaged.
     pub fn find_link_block(&self, a: u32, b: u32) -> Result<Option<u64>, FormatError> {
+        let i = self.link_block_from(a, b)?;
+        let found = i < self.index.n_records && self.link_block(i)?.first <= (a, b);
+        Ok(found.then_some(i))
+    }
+
+    /// Finds the first frame that ends with (a, b) or a later link; `n_link_blocks` where there is
+    /// none.
+    ///
+    /// # Errors
+    /// Where a touched block of the index is damaged.
+    pub fn link_block_from(&self, a: u32, b: u32) -> Result<u64, FormatError> {
         let (mut low, mut high) = (0, self.index.n_records);
         while low < high {
             let middle = low + (high - low) / 2;
@@ -132,8 +143,7 @@ impl<'a> MapView<'a> {
                 high = middle;
             }
         }
-        let found = low < self.index.n_records && self.link_block(low)?.first <= (a, b);
-        Ok(found.then_some(low))
+        Ok(low)
     }
 
     /// Checks every byte and every rule of FORMAT.md.

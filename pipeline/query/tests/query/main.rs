@@ -8,4 +8,8 @@ mod hostile;
 mod locate;
 mod octree;
 mod pair;
+mod rays;
+mod regions;
+mod sound;
 mod speed;
+mod visible;

@@ -16,7 +16,8 @@ fn answers(tree: &Tree, links: &[(u32, u32)]) -> Vec<PairAnswer> {
     for &(x, y) in links {
         for (x, y) in [(x, y), (y, x)] {
             let (a, b) = (&tree.nodes[x as usize], &tree.nodes[y as usize]);
-            let link = Link { nodes: (x, y), n_points: (a.n_points, b.n_points) };
+            let surfels = ((a.first_surfel, a.end_surfel), (b.first_surfel, b.end_surfel));
+            let link = Link { nodes: (x, y), n_points: (a.n_points, b.n_points), surfels };
             for s in a.first_surfel..a.end_surfel {
                 for t in b.first_surfel..b.end_surfel {
                     let cell = &mut table[s as usize * n + t as usize];

@@ -1,0 +1,90 @@
+//! All that a leaf sees. Source: DESIGN.md [V-5], [V-6].
+
+use std::ops::Range;
+
+use pvmap_geometry::Box3;
+use pvmap_vmap::{Node, Surfel};
+
+use crate::between::{Tally, Walk};
+use crate::error::QueryError;
+use crate::locate::Located;
+use crate::map::Map;
+use crate::part::Part;
+use crate::set::SurfelSet;
+
+/// What a located place sees.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct VisibleSet {
+    /// The surfels, that of the place among them. [V-6]
+    pub surfels: SurfelSet,
+    /// Links that cover them.
+    pub n_links: u64,
+    /// Nodes whose links were looked at.
+    pub n_nodes: u64,
+}
+
+impl Map<'_> {
+    /// Finds all surfels that the surfel of a located place sees, and that surfel. [V-6]
+    ///
+    /// Links to later surfels stand in the lists of the nodes over this one; links to earlier ones
+    /// in lists all over the map, which are looked through where the surfel's front faces.
+    ///
+    /// # Errors
+    /// Where what is read of the map is damaged, or `from` was located on another map and this one
+    /// has no such leaf.
+    pub fn visible_from(&self, from: &Located) -> Result<VisibleSet, QueryError> {
+        let (_, surfel) = self.leaf_of(from)?;
+        let (whole, own) = (Part::whole(self)?, Part::leaf(self, from.surfel)?);
+        let walk = Walk { map: self, from: &own, to: &whole, skip: &|_| false };
+        let Seen { ranges: mut seen, n_links, n_nodes } = walk.run::<Seen<true>>()?;
+        let behind = |node: &Node| is_behind(&surfel, &node.cell());
+        let walk = Walk { map: self, from: &whole, to: &own, skip: &behind };
+        let earlier = walk.run::<Seen<false>>()?;
+        seen.extend(earlier.ranges);
+        seen.push(from.surfel..from.surfel + 1);
+        Ok(VisibleSet {
+            surfels: SurfelSet::of(seen),
+            n_links: n_links + earlier.n_links,
+            n_nodes: n_nodes + earlier.n_nodes,
+        })
+    }
+}
+
+/// The surfels on one side of links: the far side, or the near one.
+#[derive(Default)]
+struct Seen<const FAR: bool> {
+    ranges: Vec<Range<u32>>,
+    n_links: u64,
+    n_nodes: u64,
+}
+
+impl<const FAR: bool> Tally for Seen<FAR> {
+    fn link(&mut self, _: &Walk<'_, '_>, from: &Node, to: &Node) {
+        let side = if FAR { to } else { from };
+        self.ranges.push(side.first_surfel..side.end_surfel);
+        self.n_links += 1;
+    }
+
+    fn look(&mut self) {
+        self.n_nodes += 1;
+    }
+
+    fn join(&mut self, later: Self) {
+        self.ranges.extend(later.ranges);
+        self.n_links += later.n_links;
+        self.n_nodes += later.n_nodes;
+    }
+}
+
+/// Decides whether a surfel faces no place of a box: [V-1]'s first half, for all centroids there.
+pub(crate) fn is_behind(surfel: &Surfel, cell: &Box3) -> bool {
+    let n = surfel.normal.map(i64::from);
+    // The corner that lies farthest along the normal.
+    let most: i64 = (0..3)
+        .map(|i| {
+            let corner = if n[i] > 0 { cell.max[i] } else { cell.min[i] };
+            n[i] * (i64::from(corner) - i64::from(surfel.centroid[i]))
+        })
+        .sum();
+    n != [0; 3] && !surfel.two_sided && most <= 0
+}

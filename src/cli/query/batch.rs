@@ -1,0 +1,227 @@
+//! Tables of questions: rows in, a line an answer, in order.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+
+use csv::StringRecord;
+use pvmap::Error;
+use pvmap::rows::Rows;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::Outcome;
+
+/// Rows answered at once, and their bytes where rows are long.
+const CHUNK_ROWS: usize = 1 << 16;
+const CHUNK_BYTES: usize = 16 << 20;
+/// Answers that a thread writes at a time.
+const PIECE: usize = 1 << 10;
+
+/// Why a row has no answer: because of the row, or because of the map.
+pub(super) enum RowError {
+    Row(String),
+    Map(Error),
+}
+
+impl From<String> for RowError {
+    fn from(what: String) -> RowError {
+        RowError::Row(what)
+    }
+}
+
+/// A question that is put by many rows.
+pub(super) trait Batch: Sync {
+    type Answer: Send + Sync;
+
+    /// The columns of the answers, the last of them `error`.
+    const HEADER: &'static str;
+
+    /// Answers some rows, in order.
+    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>>;
+
+    /// Writes an answer as cells, with a comma behind each.
+    fn write(&self, answer: &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()>;
+
+    /// Gives an answer as an object.
+    fn object(&self, answer: &Self::Answer) -> Value;
+}
+
+/// Opens a table and finds its columns.
+pub(super) fn open<T>(
+    path: &Path,
+    find: impl FnOnce(&Header<'_>) -> Result<T, String>,
+) -> Result<(Rows, T), Error> {
+    let rows = Rows::open(path)?;
+    let columns = find(&Header(rows.header()))
+        .map_err(|what| Error::Data(format!("{}: {what}", rows.name().display())))?;
+    Ok((rows, columns))
+}
+
+/// Answers a table. Some rows are read while those before them are answered.
+pub(super) fn answer<B: Batch>(mut rows: Rows, batch: &B, as_lines: bool) -> Outcome {
+    let mut out = super::stdout();
+    if !as_lines {
+        writeln!(out, "{}", B::HEADER)?;
+    }
+    let (mut chunk, mut ended) = next_chunk(&mut rows);
+    loop {
+        let is_last = ended.is_some();
+        let (written, next) = rayon::join(
+            || write_chunk(batch, &chunk, as_lines, &mut out),
+            || if is_last { Default::default() } else { next_chunk(&mut rows) },
+        );
+        written?;
+        // The rows before one that cannot be read have their answers.
+        if let Some(ended) = ended {
+            out.flush()?;
+            return Ok(ended?);
+        }
+        (chunk, ended) = next;
+    }
+}
+
+/// How a table ended: well, or with a row that cannot be read.
+type Ended = Option<Result<ExitCode, Error>>;
+
+/// Reads some rows; at the end of the table also how it ended.
+fn next_chunk(rows: &mut Rows) -> (Vec<StringRecord>, Ended) {
+    let (mut chunk, mut n_bytes) = (Vec::new(), 0);
+    while chunk.len() < CHUNK_ROWS && n_bytes < CHUNK_BYTES {
+        match rows.read() {
+            Ok(Some(row)) => {
+                n_bytes += row.as_slice().len();
+                chunk.push(row);
+            }
+            Ok(None) => return (chunk, Some(Ok(ExitCode::SUCCESS))),
+            Err(e) => return (chunk, Some(Err(e))),
+        }
+    }
+    (chunk, None)
+}
+
+/// Lines of answers, and what is wrong with the map where they end early.
+type Piece = (Vec<u8>, Option<Error>);
+
+fn write_chunk<B: Batch>(
+    batch: &B,
+    rows: &[StringRecord],
+    as_lines: bool,
+    out: &mut impl Write,
+) -> anyhow::Result<()> {
+    let mut answers = batch.answers(rows);
+    let pieces = answers.par_chunks_mut(PIECE);
+    let written: Vec<Piece> = pieces.map(|piece| write_piece(batch, piece, as_lines)).collect();
+    for (bytes, failed) in written {
+        out.write_all(&bytes)?;
+        if let Some(e) = failed {
+            out.flush()?;
+            return Err(e.into());
+        }
+    }
+    Ok(())
+}
+
+fn write_piece<B: Batch>(
+    batch: &B,
+    answers: &mut [Result<B::Answer, RowError>],
+    as_lines: bool,
+) -> Piece {
+    let mut out = Vec::with_capacity(answers.len() * 64);
+    for answer in answers {
+        let wrote = match answer {
+            Err(RowError::Map(e)) => {
+                let e = std::mem::replace(e, Error::Data(String::new()));
+                return (out, Some(e));
+            }
+            Ok(answer) if as_lines => writeln!(out, "{}", batch.object(answer)),
+            Ok(answer) => batch.write(answer, &mut out).and_then(|()| writeln!(out)),
+            Err(RowError::Row(what)) if as_lines => writeln!(out, "{}", json!({ "error": what })),
+            Err(RowError::Row(what)) => {
+                let empty = ",".repeat(B::HEADER.matches(',').count());
+                writeln!(out, "{empty}\"{}\"", what.replace('"', "\"\""))
+            }
+        };
+        // A vector takes all that fits into memory.
+        debug_assert!(wrote.is_ok(), "{wrote:?}");
+    }
+    (out, None)
+}
+
+/// Answers each row by itself.
+pub(super) fn each<A: Send>(
+    rows: &[StringRecord],
+    answer: impl Fn(&StringRecord) -> Result<A, RowError> + Sync + Send,
+) -> Vec<Result<A, RowError>> {
+    rows.par_iter().map(answer).collect()
+}
+
+/// The names of a table's columns.
+pub(super) struct Header<'r>(&'r StringRecord);
+
+/// Columns by place and name.
+pub(super) type Columns<const N: usize> = [(usize, &'static str); N];
+
+impl Header<'_> {
+    fn find(&self, name: &str) -> Result<Option<usize>, String> {
+        let mut found = self.0.iter().enumerate().filter(|(_, h)| *h == name);
+        match (found.next(), found.next()) {
+            (_, Some(_)) => Err(format!("column {name} stands twice in the header row")),
+            (first, None) => Ok(first.map(|(i, _)| i)),
+        }
+    }
+
+    /// Finds columns that must be there; `expected` tells what the header row is.
+    pub(super) fn all<const N: usize>(
+        &self,
+        names: [&'static str; N],
+        expected: &str,
+    ) -> Result<Columns<N>, String> {
+        let mut columns = [(0, ""); N];
+        for (column, name) in columns.iter_mut().zip(names) {
+            let missing = || format!("no column {name}; the header row is {expected}");
+            *column = (self.find(name)?.ok_or_else(missing)?, name);
+        }
+        Ok(columns)
+    }
+
+    /// Finds columns that are all there or none.
+    pub(super) fn all_or_none<const N: usize>(
+        &self,
+        names: [&'static str; N],
+        expected: &str,
+    ) -> Result<Option<Columns<N>>, String> {
+        for name in names {
+            if self.find(name)?.is_some() {
+                return self.all(names, expected).map(Some);
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// Reads numbers of a row.
+pub(super) fn numbers<const N: usize>(
+    row: &StringRecord,
+    columns: &Columns<N>,
+) -> Result<[f64; N], String> {
+    let mut values = [0.0; N];
+    for (value, &(i, name)) in values.iter_mut().zip(columns) {
+        let text = row.get(i).unwrap_or_default().trim();
+        let refuse = |_| format!("{name} is {text:?}, expected a number");
+        *value = text.parse::<f64>().map_err(refuse)?;
+    }
+    Ok(values)
+}
+
+/// Reads numbers of a row that may leave all of them out.
+pub(super) fn numbers_if_any<const N: usize>(
+    row: &StringRecord,
+    columns: &Option<Columns<N>>,
+) -> Result<Option<[f64; N]>, String> {
+    let is_there = |&(i, _): &(usize, _)| !row.get(i).unwrap_or_default().trim().is_empty();
+    match columns {
+        Some(columns) if columns.iter().any(is_there) => numbers(row, columns).map(Some),
+        _ => Ok(None),
+    }
+}

@@ -1,0 +1,127 @@
+//! `pvmap query`: ask a map. A file a question, and what they share: the map at hand
+//! ([`Asked`]) and tables of questions (`batch`).
+
+mod batch;
+mod pair;
+mod pairs;
+mod ray;
+mod region;
+mod sees_count;
+mod shadow;
+mod visible_from;
+
+use std::io::{self, BufWriter, Stdout};
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+use pvmap::Error;
+use pvmap::query::{Located, Map, Place, QueryError, Snap};
+
+use self::batch::RowError;
+use super::{Outcome, map_file, parse_point, print_json};
+
+/// Ask a map
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Coordinates are in the scan's units, as pvmap info shows its origin and extent; they may begin
+with a minus. pvmap query MAP pair --help tells all of a question.
+
+Examples:
+  pvmap query grotto.vmap pair 1,2,3 -4,5,6       yes (exit 0) or no (exit 1)
+  pvmap query grotto.vmap pairs rows.csv          a row an answer
+  cat rows.csv | pvmap query grotto.vmap pairs - --json
+  pvmap query grotto.vmap visible-from 1,2,3 > seen.csv
+  pvmap query grotto.vmap region 1,2,3 0.5 -4,5,6 0.5
+  pvmap query grotto.vmap ray 1,2,3 0,0,-1
+  pvmap query grotto.vmap shadow 1,2,3 --light 0,0,9")]
+pub(super) struct Args {
+    /// The map, as pvmap build makes it
+    #[arg(value_name = "NAME.vmap")]
+    map: PathBuf,
+    #[command(subcommand)]
+    question: Question,
+}
+
+#[derive(Debug, Subcommand)]
+enum Question {
+    Pair(pair::Args),
+    Pairs(pairs::Args),
+    VisibleFrom(visible_from::Args),
+    SeesCount(sees_count::Args),
+    Region(region::Args),
+    Ray(ray::Args),
+    Shadow(shadow::Args),
+}
+
+pub(super) fn run(args: &Args) -> Outcome {
+    let (path, bytes) = map_file(&args.map)?;
+    let map = Map::open(&bytes).map_err(|e| named(&path, e))?;
+    let asked = Asked { map: &map, path: &path };
+    match &args.question {
+        Question::Pair(args) => pair::run(&asked, args),
+        Question::Pairs(args) => pairs::run(&asked, args),
+        Question::VisibleFrom(args) => visible_from::run(&asked, args),
+        Question::SeesCount(args) => sees_count::run(&asked, args),
+        Question::Region(args) => region::run(&asked, args),
+        Question::Ray(args) => ray::run(&asked, args),
+        Question::Shadow(args) => shadow::run(&asked, args),
+    }
+}
+
+/// Says which map an error is about, where it is about the map.
+fn named(path: &Path, e: QueryError) -> Error {
+    match e {
+        QueryError::Format(e) => Error::artifact(path, e),
+        e => Error::Query(e),
+    }
+}
+
+fn snap_of(snap: Option<f64>) -> Snap {
+    snap.map_or(Snap::FourHalfSpacings, Snap::Within)
+}
+
+fn place(position: [f64; 3], normal: Option<[f64; 3]>) -> Place {
+    Place { position, normal: normal.map(|n| n.map(|v| v as f32)) }
+}
+
+/// The map that is asked.
+struct Asked<'m, 'a> {
+    map: &'m Map<'a>,
+    path: &'m Path,
+}
+
+impl Asked<'_, '_> {
+    /// Says which map an error is about.
+    fn named<T>(&self, answer: Result<T, QueryError>) -> Result<T, Error> {
+        answer.map_err(|e| named(self.path, e))
+    }
+
+    /// Says whether an error is the row's or the map's.
+    fn of_row<T>(&self, answer: Result<T, QueryError>) -> Result<T, RowError> {
+        answer.map_err(|e| match e {
+            QueryError::Format(e) => RowError::Map(Error::artifact(self.path, e)),
+            e => RowError::Row(e.to_string()),
+        })
+    }
+
+    /// Gives the centroid of a surfel in the scan's units.
+    fn centroid(&self, surfel: u32) -> Result<[f64; 3], QueryError> {
+        let surfel = self.map.view().surfel(surfel)?;
+        Ok(self.map.view().frame().frame.world_of(surfel.centroid))
+    }
+
+    /// Locates a place given on the command line.
+    fn locate(&self, place: &Place, snap: Option<f64>) -> Result<Located, Error> {
+        self.named(self.map.locate(place, snap_of(snap)))
+    }
+}
+
+/// Standard output for long answers.
+fn stdout() -> BufWriter<Stdout> {
+    BufWriter::with_capacity(1 << 16, io::stdout())
+}
+
+/// Writes a vector as the command line takes it.
+fn commas(v: [f64; 3]) -> String {
+    format!("{},{},{}", v[0], v[1], v[2])
+}

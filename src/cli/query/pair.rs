@@ -1,0 +1,114 @@
+//! `pvmap query MAP pair`: do two places see each other?
+
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+use pvmap::query::{Located, PairAnswer};
+use serde_json::{Value, json};
+
+use super::{Asked, Outcome, commas, parse_point, place, print_json};
+
+/// Do two places see each other? Exit 0 for yes, 1 for no
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+A place is answered for by the surfel (the disc that stands for some points) nearest to it. Where
+two surfaces meet, at an edge or in a thin wall, a normal says which of them is meant; it need
+not have length 1.
+
+Answer:
+  yes or no
+  surfels   which surfels the places lie on
+  distances how far from them, in the scan's units
+  link      the two nodes that settle it, where the answer is yes
+  settles   how many points lie in each of them: all of these see each other
+  crowd     which surfels those are, the first and the last id of each node
+  cells     where each node's cell is, lowest and highest corner, in the scan's units
+
+Examples:
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json")]
+pub(super) struct Args {
+    /// One place, in the scan's units
+    #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X1,Y1,Z1")]
+    a: [f64; 3],
+    /// The other
+    #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X2,Y2,Z2")]
+    b: [f64; 3],
+    /// Normal of the surface that the first place is on
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    normal1: Option<[f64; 3]>,
+    /// Normal of the surface that the other is on
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    normal2: Option<[f64; 3]>,
+    /// How far from a surface a place may be, in the scan's units
+    /// [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    snap: Option<f64>,
+    /// Answer as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    let a = asked.locate(&place(args.a, args.normal1), args.snap)?;
+    let b = asked.locate(&place(args.b, args.normal2), args.snap)?;
+    let answer = asked.named(asked.map.pair(&a, &b))?;
+    let cells = match &answer.link {
+        Some(link) => Some([
+            asked.named(asked.map.cell_of(link.nodes.0))?,
+            asked.named(asked.map.cell_of(link.nodes.1))?,
+        ]),
+        None => None,
+    };
+    if args.json {
+        let mut object = as_json(&a, &b, &answer);
+        if let Some(cells) = cells {
+            object["link"]["cells"] = json!(cells);
+        }
+        print_json(&object)?;
+    } else {
+        let mut out = io::stdout().lock();
+        writeln!(out, "{}", if answer.visible { "yes" } else { "no" })?;
+        writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
+        writeln!(out, "  distances {} and {}", a.distance, b.distance)?;
+        match &answer.link {
+            Some(link) => {
+                let ((na, nb), (pa, pb)) = (link.nodes, link.n_points);
+                writeln!(out, "  link      nodes {na} and {nb}")?;
+                writeln!(out, "  settles   {pa} points on one side, {pb} on the other")?;
+                let ((a, b), (c, d)) = link.surfels;
+                writeln!(out, "  crowd     surfels {a} to {} and {c} to {}", b - 1, d - 1)?;
+            }
+            None if answer.visible => writeln!(out, "  link      none: both lie on one surfel")?,
+            None => {}
+        }
+        for (i, [low, high]) in cells.into_iter().flatten().enumerate() {
+            let title = ["cells", ""][i];
+            writeln!(out, "  {title:9} {} to {}", commas(low), commas(high))?;
+        }
+    }
+    Ok(ExitCode::from(u8::from(!answer.visible)))
+}
+
+/// Gives an answer with the places it is about.
+pub(super) fn as_json(a: &Located, b: &Located, answer: &PairAnswer) -> Value {
+    let link = answer.link.as_ref().map(|link| {
+        json!({
+            "nodes": [link.nodes.0, link.nodes.1],
+            "points": [link.n_points.0, link.n_points.1],
+            // The first and the last: as text says it.
+            "surfels": [
+                [link.surfels.0.0, link.surfels.0.1 - 1],
+                [link.surfels.1.0, link.surfels.1.1 - 1],
+            ],
+        })
+    });
+    json!({
+        "visible": answer.visible,
+        "surfel1": a.surfel,
+        "surfel2": b.surfel,
+        "distance1": a.distance,
+        "distance2": b.distance,
+        "link": link,
+    })
+}

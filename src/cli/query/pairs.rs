@@ -1,0 +1,121 @@
+//! `pvmap query MAP pairs`: a table of pairs.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use csv::StringRecord;
+use pvmap::query::{Located, PairAnswer, Place, Snap};
+use rayon::prelude::*;
+use serde_json::Value;
+
+use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
+use super::{Asked, Outcome, pair, place, snap_of};
+
+/// Answer a table of pairs, a row an input row, in order
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Input columns, by name in a header row, in any order, among others that are not read:
+  x1 y1 z1 x2 y2 z2             the two places, in the scan's units
+  nx1 ny1 nz1 nx2 ny2 nz2       optional: normals that say which surface is meant
+
+Output columns:
+  visible                       0 or 1, empty where there is no answer
+  surfel1 surfel2               which surfels the places lie on
+  distance1 distance2           how far from them, in the scan's units
+  error                         why there is no answer
+
+It ends with 0 once every row is answered, and with 65 at a row that is no text or longer than
+64 KiB.
+
+Examples:
+  pvmap query grotto.vmap pairs rows.csv > answers.csv
+  printf 'x1,y1,z1,x2,y2,z2\\n1,2,3,-4,5,6\\n' | pvmap query grotto.vmap pairs -")]
+pub(super) struct Args {
+    /// A CSV file with a header row, or - for standard input
+    #[arg(value_name = "ROWS.csv")]
+    rows: PathBuf,
+    /// How far from a surface a place may be, in the scan's units
+    /// [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    snap: Option<f64>,
+    /// Answer as a JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+const EXPECTED: &str = "x1,y1,z1,x2,y2,z2, and nx1,ny1,nz1,nx2,ny2,nz2 to choose sides";
+
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    let (rows, columns) = batch::open(&args.rows, |header| {
+        Ok([
+            PlaceColumns::find(header, ["x1", "y1", "z1"], ["nx1", "ny1", "nz1"], EXPECTED)?,
+            PlaceColumns::find(header, ["x2", "y2", "z2"], ["nx2", "ny2", "nz2"], EXPECTED)?,
+        ])
+    })?;
+    batch::answer(rows, &Pairs { asked, columns, snap: snap_of(args.snap) }, args.json)
+}
+
+/// Where the columns of a place are.
+pub(super) struct PlaceColumns {
+    position: Columns<3>,
+    normal: Option<Columns<3>>,
+}
+
+impl PlaceColumns {
+    /// Finds them by their names.
+    pub(super) fn find(
+        header: &Header<'_>,
+        position: [&'static str; 3],
+        normal: [&'static str; 3],
+        expected: &str,
+    ) -> Result<PlaceColumns, String> {
+        let position = header.all(position, expected)?;
+        Ok(PlaceColumns { position, normal: header.all_or_none(normal, expected)? })
+    }
+
+    /// Reads the place of a row. Empty cells of a normal: this row does not choose a side.
+    pub(super) fn read(&self, row: &StringRecord) -> Result<Place, String> {
+        let normal = numbers_if_any(row, &self.normal)?;
+        Ok(place(numbers(row, &self.position)?, normal))
+    }
+}
+
+struct Pairs<'q, 'm, 'a> {
+    asked: &'q Asked<'m, 'a>,
+    columns: [PlaceColumns; 2],
+    snap: Snap,
+}
+
+impl Batch for Pairs<'_, '_, '_> {
+    type Answer = (Located, Located, PairAnswer);
+
+    const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,error";
+
+    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>> {
+        let Pairs { asked, columns, snap } = self;
+        let locate = |row: &StringRecord| -> Result<(Located, Located), RowError> {
+            let (a, b) = (columns[0].read(row)?, columns[1].read(row)?);
+            let located = |place| asked.of_row(asked.map.locate(place, *snap));
+            Ok((located(&a)?, located(&b)?))
+        };
+        let located: Vec<Result<_, RowError>> = rows.par_iter().map(locate).collect();
+        let questions: Vec<(Located, Located)> =
+            located.iter().filter_map(|row| row.as_ref().ok().copied()).collect();
+        let mut answers = asked.map.pairs(&questions).into_iter();
+        let answered = |row: Result<(Located, Located), RowError>| {
+            let (a, b) = row?;
+            let answer = answers.next().expect("one for each located row");
+            Ok((a, b, asked.of_row(answer)?))
+        };
+        located.into_iter().map(answered).collect()
+    }
+
+    fn write(&self, (a, b, answer): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
+        let visible = u8::from(answer.visible);
+        write!(out, "{visible},{},{},{},{},", a.surfel, b.surfel, a.distance, b.distance)
+    }
+
+    fn object(&self, (a, b, answer): &Self::Answer) -> Value {
+        pair::as_json(a, b, answer)
+    }
+}

@@ -1,0 +1,149 @@
+//! `pvmap query MAP visible-from`: all that a place sees.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use csv::StringRecord;
+use pvmap::Error;
+use pvmap::query::{Located, Place, QueryError, Snap, VisibleSet};
+use serde_json::{Value, json};
+
+use super::batch::{self, Batch, RowError};
+use super::pairs::PlaceColumns;
+use super::{Asked, Outcome, parse_point, place, print_json, snap_of, stdout};
+
+/// Which surfels does a place see? That which it lies on is among them
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Output columns, a row a surfel:
+  surfel                        its id
+  x y z                         its centre, in the scan's units
+  points                        how many points it stands for
+
+Input columns of --rows, by name in a header row, in any order, among others that are not read:
+  x y z                         the place, in the scan's units
+  nx ny nz                      optional: normals that say which surface is meant
+
+Output columns of --rows, a row an input row:
+  surfel distance               the surfel that the place lies on, and how far from it
+  seen points                   how many surfels and points are seen
+  ranges                        their ids, from-to with semicolons between
+  error                         why there is no answer
+
+Examples:
+  pvmap query grotto.vmap visible-from 1.5,2,0.3 > seen.csv
+  pvmap query grotto.vmap visible-from --rows rows.csv --json")]
+pub(super) struct Args {
+    /// The place, in the scan's units
+    #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    #[arg(required_unless_present = "rows")]
+    place: Option<[f64; 3]>,
+    /// Normal of the surface that the place is on
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
+    normal: Option<[f64; 3]>,
+    /// How far from a surface a place may be, in the scan's units
+    /// [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    snap: Option<f64>,
+    /// Answer the rows of a CSV file, or of standard input for -
+    #[arg(long, value_name = "ROWS.csv", conflicts_with_all = ["place", "normal"])]
+    rows: Option<PathBuf>,
+    /// Answer as one JSON object, or one a line
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    let from = match (args.place, &args.rows) {
+        (_, Some(rows)) => return table(asked, args, rows),
+        (Some(position), None) => place(position, args.normal),
+        _ => return Err(Error::Usage("give a place, or --rows".to_owned()).into()),
+    };
+    let seen = asked.named(look(asked, &from, snap_of(args.snap)))?;
+    if args.json {
+        let mut object = as_json(&seen);
+        object["links"] = json!(seen.found.n_links);
+        object["frames"] = json!(asked.map.n_frames_decoded());
+        print_json(&object)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut out = stdout();
+    writeln!(out, "surfel,x,y,z,points")?;
+    for id in seen.found.surfels.ids() {
+        let [x, y, z] = asked.named(asked.centroid(id))?;
+        let surfel = asked.named(asked.map.view().surfel(id).map_err(QueryError::from))?;
+        writeln!(out, "{id},{x},{y},{z},{}", surfel.n_points)?;
+    }
+    out.flush()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a place sees.
+struct Seen {
+    from: Located,
+    found: VisibleSet,
+    n_points: u64,
+}
+
+fn look(asked: &Asked<'_, '_>, from: &Place, snap: Snap) -> Result<Seen, QueryError> {
+    let from = asked.map.locate(from, snap)?;
+    let found = asked.map.visible_from(&from)?;
+    let mut n_points = 0u64;
+    for id in found.surfels.ids() {
+        n_points = n_points.saturating_add(asked.map.view().surfel(id)?.n_points);
+    }
+    Ok(Seen { from, found, n_points })
+}
+
+fn as_json(seen: &Seen) -> Value {
+    let ranges = seen.found.surfels.ranges().iter();
+    json!({
+        "surfel": seen.from.surfel,
+        "distance": seen.from.distance,
+        "seen": seen.found.surfels.len(),
+        "points": seen.n_points,
+        "ranges": ranges.map(|r| [r.start, r.end - 1]).collect::<Vec<_>>(),
+    })
+}
+
+fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path) -> Outcome {
+    let expected = "x,y,z, and nx,ny,nz to choose sides";
+    let (rows, columns) = batch::open(rows, |header| {
+        PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)
+    })?;
+    batch::answer(rows, &Looks { asked, columns, snap: snap_of(args.snap) }, args.json)
+}
+
+struct Looks<'q, 'm, 'a> {
+    asked: &'q Asked<'m, 'a>,
+    columns: PlaceColumns,
+    snap: Snap,
+}
+
+impl Batch for Looks<'_, '_, '_> {
+    type Answer = Seen;
+
+    const HEADER: &'static str = "surfel,distance,seen,points,ranges,error";
+
+    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Seen, RowError>> {
+        batch::each(rows, |row| {
+            let from = self.columns.read(row)?;
+            self.asked.of_row(look(self.asked, &from, self.snap))
+        })
+    }
+
+    fn write(&self, seen: &Seen, out: &mut Vec<u8>) -> io::Result<()> {
+        let Seen { from, found, n_points } = seen;
+        write!(out, "{},{},{},{n_points},", from.surfel, from.distance, found.surfels.len())?;
+        for (i, range) in found.surfels.ranges().iter().enumerate() {
+            let before = if i > 0 { ";" } else { "" };
+            write!(out, "{before}{}-{}", range.start, range.end - 1)?;
+        }
+        write!(out, ",")
+    }
+
+    fn object(&self, seen: &Seen) -> Value {
+        as_json(seen)
+    }
+}

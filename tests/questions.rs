@@ -1,0 +1,174 @@
+//! What `pvmap query` answers beyond pairs: visible-from, sees-count, region, ray, shadow.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
+
+mod cli_common;
+
+use cli_common::{Bench, Run, room};
+use pvmap::vmap::MapView;
+use serde_json::Value;
+
+fn json(run: &Run) -> Value {
+    serde_json::from_str(&run.stdout).unwrap()
+}
+
+fn cells(text: &str, column: usize) -> Vec<String> {
+    let rows = text.lines().skip(1);
+    rows.map(|l| l.split(',').nth(column).unwrap().to_owned()).collect()
+}
+
+#[test]
+fn what_a_place_sees_is_what_pairs_say() {
+    let bench = room();
+    let table = bench.line("query room.vmap visible-from -0.5,-0.5,-1").ok().stdout;
+    assert!(table.starts_with("surfel,x,y,z,points\n"), "{table}");
+    let seen = json(&bench.line("query room.vmap visible-from -0.5,-0.5,-1 --json").ok());
+    let ids: Vec<u64> = cells(&table, 0).iter().map(|id| id.parse().unwrap()).collect();
+    assert_eq!(seen["seen"], ids.len());
+    let n_points: u64 = cells(&table, 4).iter().map(|n| n.parse::<u64>().unwrap()).sum();
+    assert_eq!(seen["points"], n_points);
+    let in_ranges: Vec<u64> =
+        seen["ranges"].as_array().unwrap().iter().fold(Vec::new(), |mut all, range| {
+            all.extend(range[0].as_u64().unwrap()..=range[1].as_u64().unwrap());
+            all
+        });
+    assert_eq!(in_ranges, ids);
+    // The counts of all surfels leave out a surfel's own.
+    let counts = bench.line("query room.vmap sees-count").ok().stdout;
+    let own = seen["surfel"].as_u64().unwrap() as usize;
+    assert_eq!(cells(&counts, 4)[own], (ids.len() - 1).to_string());
+    let n_pairs: u64 = cells(&counts, 4).iter().map(|n| n.parse::<u64>().unwrap()).sum();
+    let visible = bench.with_map("room.vmap", |view: &MapView<'_>| view.summary().n_visible_pairs);
+    assert_eq!(u128::from(n_pairs), 2 * visible);
+    let lines = bench.line("query room.vmap sees-count --json").ok().stdout;
+    assert_eq!(lines.lines().count(), cells(&counts, 0).len());
+    // All centres but those on the same wall, by another way.
+    let rows: String = table.lines().skip(1).fold("x1,y1,z1,x2,y2,z2\n".into(), |mut rows, l| {
+        let cells: Vec<&str> = l.split(',').collect();
+        rows += &format!("-0.5,-0.5,-1,{},{},{}\n", cells[1], cells[2], cells[3]);
+        rows
+    });
+    bench.write("rows.csv", rows);
+    let pairs = bench.line("query room.vmap pairs rows.csv").ok().stdout;
+    assert!(cells(&pairs, 0).iter().all(|v| v == "1"), "{pairs}");
+    bench.write("places.csv", "x,y,z\n-0.5,-0.5,-1\n0,0,0\n");
+    let rows = bench.line("query room.vmap visible-from --rows places.csv").ok().stdout;
+    assert_eq!(cells(&rows, 2)[0], ids.len().to_string());
+    assert!(rows.lines().nth(2).unwrap().starts_with(",,,,,\"no surface at 0,0,0"), "{rows}");
+}
+
+#[test]
+fn the_crowd_of_a_pair() {
+    let bench = room();
+    let run = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1").exits(0);
+    assert!(run.stdout.contains("\n  crowd     surfels "), "{}", run.stdout);
+    assert!(run.stdout.contains("\n  cells     "), "{}", run.stdout);
+    let answer = json(&bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1 --json").exits(0));
+    for (side, name) in ["surfel1", "surfel2"].into_iter().enumerate() {
+        let range = &answer["link"]["surfels"][side];
+        let own = answer[name].as_u64().unwrap();
+        assert!(range[0].as_u64().unwrap() <= own && own <= range[1].as_u64().unwrap());
+    }
+    assert_eq!(answer["link"]["cells"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn regions() {
+    let bench = room();
+    let all = bench.line("query room.vmap region -0.5,-0.5,-1 0.3 0.5,0.5,1 0.3").ok().stdout;
+    assert!(all.starts_with("all\n  fraction  1 of"), "{all}");
+    let none = json(&bench.line("query room.vmap region 0,0,-1 0.3 .5,.5,-1 0.3 --json").ok());
+    assert_eq!((none["sees"].as_str(), none["fraction"].as_f64()), (Some("none"), Some(0.0)));
+    bench.line("query room.vmap region 0,0,-1 -1 0,0,1 1").fails(2, &["radius -1"]);
+    bench.line("query room.vmap region 0,0,-9 1 0,0,1 1").fails(65, &["outside"]);
+    bench.line("query room.vmap region 0,0,0 0.01 0,0,1 1").fails(65, &["no surfel's centre"]);
+    bench.line("query room.vmap region 0,0,0 0.01").exits(2);
+    let rows = "x1,y1,z1,r1,x2,y2,z2,r2\n-.5,-.5,-1,.3,.5,.5,1,.3\n0,0,0,.01,0,0,1,1\n";
+    bench.write("rows.csv", rows);
+    let table = bench.line("query room.vmap region --rows rows.csv").ok().stdout;
+    assert_eq!(cells(&table, 0), ["all", ""]);
+    let lines = bench.line("query room.vmap region --rows rows.csv --json").ok().stdout;
+    assert!(lines.lines().nth(1).unwrap().contains("error"), "{lines}");
+}
+
+#[test]
+fn rays() {
+    let bench = room();
+    let from_floor = json(&bench.line("query room.vmap ray 0.3,0.3,-1 0,0,1 --json").ok());
+    assert!(from_floor["from"].is_u64(), "{from_floor}");
+    let hit = &from_floor["hit"];
+    assert!((hit["distance"].as_f64().unwrap() - 2.0).abs() < 0.01, "{hit}");
+    assert!((hit["normal"][2].as_f64().unwrap() + 1.0).abs() < 0.01, "{hit}");
+    let from_air = bench.line("query room.vmap ray 0.3,0.3,0 0,0,-2").ok().stdout;
+    assert!(from_air.starts_with("hit\n") && from_air.contains("from      the air"), "{from_air}");
+    let out = bench.line("query room.vmap ray 0.3,0.3,5 0,0,1").ok().stdout;
+    assert!(out.starts_with("nothing\n"), "{out}");
+    bench.line("query room.vmap ray 0.3,0.3,5 0,0,0").fails(2, &["direction 0,0,0"]);
+    bench.write("rows.csv", "x,y,z,dx,dy,dz\n.3,.3,-1,0,0,1\n.3,.3,0,0,0,0\n9,9,9,1,0,0\n");
+    let table = bench.line("query room.vmap ray --rows rows.csv").ok().stdout;
+    assert_eq!(cells(&table, 0), ["1", "", "0"]);
+    assert!(table.lines().all(|l| l.contains("error") || l.matches(',').count() >= 10), "{table}");
+}
+
+#[test]
+fn shadows() {
+    let bench = room();
+    let ask = |light: &str| bench.line(&format!("query room.vmap shadow 0.3,0.3,-1 {light}"));
+    // A lamp in the air, one on the ceiling, one behind the ceiling.
+    assert!(ask("--light 0,0,0.5").ok().stdout.starts_with("lit\n"));
+    assert!(ask("--light 0,0,1").ok().stdout.starts_with("lit\n"));
+    let hidden = json(&ask("--light 0,0,1.9 --json").ok());
+    assert_eq!(hidden["light"], "umbra");
+    assert!(hidden["blocker"].is_u64(), "{hidden}");
+    // All of the ceiling, none of the floor, some of both.
+    assert!(ask("--light-box -1,-1,0.99,1,1,1.01").ok().stdout.starts_with("lit\n"));
+    let floor = ask("--light-box -1,-1,-1.1,0,0,-0.9").ok().stdout;
+    assert!(floor.starts_with("umbra\n"), "{floor}");
+    let both = json(&ask("--light-box -1,-1,-2,1,1,2 --json").ok());
+    assert_eq!(both["light"], "penumbra");
+    ask("").fails(2, &["no light"]);
+    ask("--light-box 1,1,1,0,0,0").exits(2);
+    ask("--light-box 5,5,5,6,6,6").fails(65, &["in the box"]);
+    ask("--class 3").exits(2);
+    ask("--class 3 --octree room.octree").fails(65, &["room.octree", "no classes"]);
+    bench.write("rows.csv", "x,y,z,lx,ly,lz\n.3,.3,-1,0,0,.5\n.3,.3,-1,0,0,1.9\n.3,.3,-1,,,\n");
+    let table = bench.line("query room.vmap shadow --rows rows.csv").ok().stdout;
+    assert_eq!(cells(&table, 0), ["lit", "umbra", ""]);
+    let table = bench.line("query room.vmap shadow --rows rows.csv --light 0,0,.5").ok().stdout;
+    assert_eq!(cells(&table, 0), ["lit", "umbra", "lit"]);
+}
+
+#[test]
+fn a_class_shines() {
+    let bench = Bench::new();
+    // A floor of class 2 and a ceiling that faces it, one half of it of class 6.
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 3200\n".to_owned();
+    for name in ["x", "y", "z", "nx", "ny", "nz"] {
+        text += &format!("property float {name}\n");
+    }
+    text += "property uchar classification\nend_header\n";
+    for (z, nz) in [(0, 1), (20, -1)] {
+        for i in 0..1600 {
+            let class = if z > 0 && i % 40 < 20 { 6 } else { 2 };
+            text += &format!("{} {} {z} 0 0 {nz} {class}\n", i % 40, i / 40);
+        }
+    }
+    bench.write("hall.ply", text);
+    bench.line("ingest hall.ply").ok();
+    bench.line("build").ok();
+    let ask = |place: &str, class: u8| {
+        let line = format!("query hall.vmap shadow {place} --octree hall.octree --class {class}");
+        bench.line(&line)
+    };
+    assert!(ask("20,20,0", 6).ok().stdout.starts_with("lit\n"));
+    assert!(ask("20,20,20", 6).ok().stdout.contains(" points in "));
+    let some = ask("20,20,0", 2).ok().stdout;
+    // Of 2400 points 800 are above, and those of the place's own surfel.
+    assert!(some.starts_with("penumbra\n  share     0.3"), "{some}");
+    ask("20,20,0", 9).fails(65, &["hall.octree", "no point has class 9"]);
+    let other = String::from_utf8(bench.read("hall.ply")).unwrap();
+    bench.write("other.ply", other.replacen("39 39 20 ", "39 38 20 ", 1));
+    bench.line("ingest other.ply").ok();
+    bench
+        .line("query hall.vmap shadow 20,20,0 --octree other.octree --class 2")
+        .fails(65, &["another octree"]);
+}
