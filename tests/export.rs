@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use cli_common::{Bench, room};
+use cli_common::{Bench, TWO_THREADS, floor, patch, room};
 use fastrand::Rng;
 use pvmap::geometry::{Intensity, PointBatch, Positions};
 use pvmap::query::{Located, Map, Place, Snap};
@@ -353,6 +353,60 @@ fn d8_threads_and_memory_change_no_byte() {
     assert_eq!(tight.unwrap_err().exit_code(), 78);
 }
 
+#[test]
+fn d9_an_export_streams_within_its_memory() {
+    let bench = Bench::new();
+    let n_points = 1_440_000;
+    cli_common::write_las(&bench.path("a.las"), n_points, floor(1200));
+    bench.line("ingest a.las --normals none").ok();
+    bench.line("build a.octree --max-level 5").ok();
+    for output in ["out.las", "out.laz", "out.ply"] {
+        let line = "export a.vmap --octree a.octree --field sees-count --memory 64MiB --points";
+        let words = line.split(' ').chain([output]).chain(TWO_THREADS);
+        let run = bench.run(words).ok().within(64);
+        assert!(run.stderr.contains("of temporary disk in"), "{}", run.stderr);
+        assert!(!run.stdout.contains(" 0.0 MiB temporary"), "{}", run.stdout);
+    }
+    let (_, found) = read(&bench.path("out.laz"));
+    let place = floor(1200);
+    let places = Positions::Lattice((0..n_points).map(place).collect());
+    assert!(found.positions == places && found.records.into_iter().eq(0..n_points));
+    let made = ["a.las", "a.octree", "a.vmap", "out.las", "out.laz", "out.ply"];
+    assert_eq!(bench.names(), made);
+}
+
+#[test]
+fn a_scan_without_points_and_damaged_artifacts() {
+    let bench = Bench::new();
+    bench.write("none.ply", cli_common::ply_header(0, &cli_common::XYZ));
+    bench.line("ingest none.ply").ok();
+    bench.line("build none.octree").ok();
+    for output in ["out.las", "out.laz", "out.ply"] {
+        let line = "export none.vmap --octree none.octree --field sees-count --field bin --points";
+        bench.line(&format!("{line} {output}")).ok();
+        let source = Source::open(&bench.path(output), 0, ReadOptions::default()).unwrap();
+        assert_eq!(source.info().n_points, 0, "{output}");
+    }
+    write_las(&bench.path("a.las"), &scan(20, 16), [0.0; 3], &LasContent::default());
+    build(&bench, &["a.las"]);
+    let points_at = bench.with_octree("a.octree", |view| {
+        view.file().section("points", view.schema().record_bytes() as u32).unwrap().offset_bytes
+    });
+    let links_at =
+        bench.with_map("a.vmap", |view| view.file().section("links", 0).unwrap().offset_bytes);
+    let names = bench.names();
+    let (octree, map) = (bench.read("a.octree/points.pvo"), bench.read("a.vmap"));
+    for (file, whole, at) in
+        [("a.octree/points.pvo", &octree, points_at), ("a.vmap", &map, links_at)]
+    {
+        patch(&bench.path(file), at + 5, &[!whole[at as usize + 5]]);
+        let line = "export a.vmap --octree a.octree --points gone.las --field sees-count";
+        bench.line(line).fails(65, &[file]);
+        assert_eq!(bench.names(), names);
+        bench.write(file, whole);
+    }
+}
+
 /// Asks to stop when it was asked so many times whether to.
 struct StopAfter(AtomicU64);
 
@@ -429,7 +483,7 @@ fn a_map_of_other_points_is_refused() {
     write_las(&bench.path("more.las"), &scan(21, 13), [0.0; 3], &content);
     // The same points elsewhere: the same digest. [D-2]
     write_las(&bench.path("moved.las"), &scan(20, 13), [0.0; 3], &content);
-    cli_common::patch(&bench.path("moved.las"), 155, &7.0f64.to_le_bytes());
+    patch(&bench.path("moved.las"), 155, &7.0f64.to_le_bytes());
     build(&bench, &["a.las"]);
     for other in ["more", "moved"] {
         bench.line(&format!("ingest {other}.las")).ok();

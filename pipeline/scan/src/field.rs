@@ -67,3 +67,45 @@ pub(crate) fn mismatch(
     let fits = values.len() == fields.len() && values.iter().all(|v| v.len() == n_points);
     (!fits).then(|| format!("values of {} fields do not fit {n_points} points", values.len()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_that_do_not_fit_become_the_nearest_that_do() {
+        for (kind, value, bytes) in [
+            (FieldKind::U8, 300.0, vec![255]),
+            (FieldKind::I8, -1.0, vec![255]),
+            (FieldKind::I8, -1e9, vec![128]),
+            (FieldKind::U32, 4_294_967_295.0, vec![255; 4]),
+            (FieldKind::U32, f64::NAN, vec![0; 4]),
+            (FieldKind::F32, 0.5, 0.5f32.to_le_bytes().to_vec()),
+        ] {
+            let mut out = Vec::new();
+            kind.put(value, &mut out);
+            assert_eq!(out, bytes);
+            assert_eq!(out.len(), kind.n_bytes());
+        }
+    }
+
+    #[test]
+    fn names_that_would_break_a_header_are_refused() {
+        let field = |name: &str, description: &str| ScalarField {
+            name: name.to_owned(),
+            description: description.to_owned(),
+            kind: FieldKind::U8,
+        };
+        assert_eq!(field("visible_from_2", "1 if seen from -1,2,3").problem(), None);
+        let long = "a".repeat(32);
+        for (name, description) in
+            [("", ""), ("two words", ""), ("a\nb", ""), (&long, ""), ("a", "b\nend_header")]
+        {
+            assert!(field(name, description).problem().is_some(), "{name:?}");
+        }
+        let fields = [field("a", "")];
+        assert_eq!(mismatch(&fields, &[vec![1.0, 2.0]], 2), None);
+        assert!(mismatch(&fields, &[], 2).is_some());
+        assert!(mismatch(&fields, &[vec![1.0]], 2).is_some());
+    }
+}

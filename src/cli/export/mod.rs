@@ -19,8 +19,9 @@ Points (--points, with the octree that the map was built from): all points of al
 file, in the order of the scans as they were given to pvmap ingest and of the records in them,
 each with its coordinates, colour, intensity, class, GPS time and normal where the scans have
 them, and with the new fields. Steps of a LAS stay the whole numbers they were; coordinates of a
-PLY, or of scans on different lattices, are rounded to steps in a LAS, not in a PLY. Returns, scan
-angles, flags and user data are not in an octree: in a LAS every point is a single return.
+PLY, or of scans on different lattices, are rounded to steps in a LAS, and intensities to whole
+numbers; in a PLY they are not. Returns, scan angles, flags and user data are not in an octree: in
+a LAS every point is a single return.
 
 Fields:
   visible-from=X,Y,Z   visible_from: 1 where the surfel of a point sees that of the place, or is
