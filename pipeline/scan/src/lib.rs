@@ -15,13 +15,15 @@
 
 mod bytes;
 pub mod error;
+mod field;
 mod las;
 mod ply;
 pub mod source;
 
 pub use error::{ErrorKind, ScanError};
+pub use field::{FieldKind, ScalarField};
 pub use las::laz::is_decoding;
-pub use las::write::{LasOptions, LasWriter};
+pub use las::write::{LasContent, LasOptions, LasWriter};
 pub use ply::mesh::{MeshData, read_mesh, write_mesh};
 pub use ply::write::{PlyColumns, PlyWriter};
 pub use source::{

@@ -89,6 +89,25 @@ pub enum Crs {
 }
 
 impl Crs {
+    /// Takes GeoTIFF records apart that stand one behind another: keys, doubles, texts. None where
+    /// the keys are not all there or name doubles that are not.
+    pub fn of_geotiff(bytes: &[u8]) -> Option<Crs> {
+        let word = |at: usize| Some(u16::from_le_bytes([*bytes.get(at)?, *bytes.get(at + 1)?]));
+        // A row of four u16 says how many keys follow: rows of key, where its value is (34736 is
+        // the doubles), how many values and from which on.
+        let keys_end = 8 * (usize::from(word(6)?) + 1);
+        let mut n_doubles = 0;
+        for row in (8..keys_end).step_by(8) {
+            if word(row + 2)? == 34736 {
+                n_doubles =
+                    n_doubles.max(usize::from(word(row + 4)?) + usize::from(word(row + 6)?));
+            }
+        }
+        let (keys, rest) = bytes.split_at_checked(keys_end)?;
+        let (doubles, texts) = rest.split_at_checked(8 * n_doubles)?;
+        Some(Crs::GeoTiff { keys: keys.into(), doubles: doubles.into(), texts: texts.into() })
+    }
+
     /// Says whether coordinates are degrees of longitude and latitude.
     pub fn is_geographic(&self) -> bool {
         match self {

@@ -8,7 +8,7 @@ use std::path::Path;
 use common::{Point, STRICT, points, read, read_parts};
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_scan::{
-    ColorRange, ErrorKind, LasOptions, LasWriter, PlyColumns, PlyWriter, ScanError, Source,
+    ColorRange, Crs, ErrorKind, LasOptions, LasWriter, PlyColumns, PlyWriter, ScanError, Source,
 };
 
 /// Points `first..first + n` of a made-up scan on a lattice of 1 mm.
@@ -190,4 +190,18 @@ fn a_sample_comes_from_all_over_the_file() {
     assert_eq!(records, expected);
     let all = source.sample(1 << 20).unwrap();
     assert_eq!(all.iter().map(PointBatch::len).sum::<usize>(), 10_000);
+}
+
+#[test]
+fn geotiff_records_are_taken_apart_as_they_were_put_together() {
+    let words = |v: &[u16]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    // Two keys: one that is a number, one that is the doubles 1 and 2.
+    let keys = words(&[1, 1, 0, 2, 1024, 0, 1, 1, 2057, 34736, 2, 1]);
+    let (doubles, texts) = (vec![7; 24], b"here|".to_vec());
+    let all = [keys.as_slice(), &doubles, &texts].concat();
+    let n_needed = keys.len() + doubles.len();
+    assert_eq!(Crs::of_geotiff(&all), Some(Crs::GeoTiff { keys, doubles, texts }));
+    for n in 0..n_needed {
+        assert_eq!(Crs::of_geotiff(&all[..n]), None, "{n} bytes");
+    }
 }

@@ -18,6 +18,7 @@ pub mod links;
 pub mod map;
 pub mod octree;
 pub mod records;
+pub mod router;
 pub mod schema;
 pub mod tree;
 
@@ -26,4 +27,5 @@ pub use error::FormatError;
 pub use map::MapView;
 pub use octree::OctreeView;
 pub use records::{MapSummary, Node, OctreeSummary, Source, Split, Surfel};
+pub use router::Router;
 pub use tree::{Shape, Tree};

@@ -1,22 +1,23 @@
-//! LAS and LAZ out: version 1.4, point format 7, through the `las` crate.
+//! LAS and LAZ out: version 1.4, through the `las` crate.
 
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use las::point::Format;
-use las::{Builder, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
+use las::{Builder, GpsTimeType, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_store::{AtomicFile, StoreError};
 
 use crate::error::ScanError;
+use crate::field::{self, FieldKind, ScalarField};
+use crate::source::Crs;
 
-/// The point format written: place, intensity, class, gps time and colour.
-const POINT_FORMAT: u8 = 7;
+/// The largest class of the formats before 6, which share its byte with flags.
+const MAX_LEGACY_CLASS: u8 = 31;
 
-/// Bytes of a record of that format, and of the normal behind it.
-const RECORD_BYTES: usize = 36;
-const NORMAL_BYTES: u16 = 12;
+/// Bytes of a record of the longest format written: place, intensity, class, gps time and colour.
+const MAX_RECORD_BYTES: usize = 36;
 
 /// Where the header has its bounds: max and min, an axis at a time.
 const BOUNDS_OFFSET: u64 = 179;
@@ -37,6 +38,70 @@ pub struct LasOptions {
     pub normals: bool,
 }
 
+/// What the points of a LAS file have beside place, intensity, class and normal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LasContent {
+    /// Whether there is colour.
+    pub color: bool,
+    /// Whether there is GPS time; without a GeoTIFF reference system its room is there anyway.
+    pub gps_time: bool,
+    /// Whether GPS times are those since 1980 less 1e9 seconds, instead of seconds of a week.
+    pub is_standard_gps_time: bool,
+    /// Where on earth. GeoTIFF keys want a point format before 6, whose classes end at 31.
+    pub crs: Option<Crs>,
+    /// Numbers in extra bytes, behind the normal.
+    pub fields: Vec<ScalarField>,
+}
+
+impl Default for LasContent {
+    fn default() -> LasContent {
+        LasContent {
+            color: true,
+            gps_time: true,
+            is_standard_gps_time: false,
+            crs: None,
+            fields: Vec::new(),
+        }
+    }
+}
+
+impl LasContent {
+    fn layout(&self) -> Layout {
+        match (&self.crs, self.gps_time, self.color) {
+            (Some(Crs::GeoTiff { .. }), gps, color) => Layout {
+                point_format: u8::from(gps) + 2 * u8::from(color),
+                gps_at: gps.then_some(20),
+                color_at: color.then_some(if gps { 28 } else { 20 }),
+            },
+            (_, _, color) => Layout {
+                point_format: if color { 7 } else { 6 },
+                gps_at: Some(22),
+                color_at: color.then_some(30),
+            },
+        }
+    }
+}
+
+/// Where the columns lie in the records of a point format.
+#[derive(Debug, Clone, Copy)]
+struct Layout {
+    point_format: u8,
+    gps_at: Option<usize>,
+    color_at: Option<usize>,
+}
+
+impl Layout {
+    fn is_legacy(&self) -> bool {
+        self.point_format < 6
+    }
+
+    /// Gives the bytes of a record without what is behind the columns of its format.
+    fn record_bytes(&self) -> usize {
+        let after_gps = self.gps_at.map_or(20, |at| at + 8);
+        self.color_at.map_or(after_gps, |at| at + 6)
+    }
+}
+
 /// Writes points to a LAS or LAZ file that appears under its name when it is whole.
 ///
 /// Bounds and counts in the header are those of the points; no date, so the same points give the
@@ -44,6 +109,8 @@ pub struct LasOptions {
 pub struct LasWriter {
     writer: Writer<Sink>,
     options: LasOptions,
+    fields: Vec<ScalarField>,
+    layout: Layout,
     format: Format,
     transforms: Vector<Transform>,
     /// The least and the greatest step along each axis.
@@ -54,28 +121,35 @@ pub struct LasWriter {
 }
 
 impl LasWriter {
-    /// Starts a file.
+    /// Starts a file of point format 7: place, intensity, class, gps time and colour.
     ///
     /// # Errors
     /// Where it cannot be created, or scale and offset make no lattice.
     pub fn create(path: &Path, options: LasOptions) -> Result<LasWriter, ScanError> {
+        LasWriter::create_with(path, options, &LasContent::default())
+    }
+
+    /// Starts a file whose points have what `content` says.
+    ///
+    /// # Errors
+    /// Those of [`LasWriter::create`], and where a field has a name that cannot be written.
+    pub fn create_with(
+        path: &Path,
+        options: LasOptions,
+        content: &LasContent,
+    ) -> Result<LasWriter, ScanError> {
         let fail = |e: las::Error| write_error(path, e.to_string());
         let is_sound = options.scale.iter().all(|s| s.is_normal() && *s > 0.0)
             && options.offset.iter().all(|o| o.is_finite());
         if !is_sound {
             return Err(write_error(path, "scale must be > 0 and offset finite".to_owned()));
         }
-        let mut format = Format::new(POINT_FORMAT).map_err(fail)?;
-        format.is_compressed = options.compressed;
-        let mut builder = Builder::default();
-        builder.version = Version::new(1, 4);
-        builder.generating_software = "pvmap".to_owned();
-        builder.transforms = transforms(&options);
-        if options.normals {
-            format.extra_bytes = NORMAL_BYTES;
-            builder.vlrs.push(normal_descriptors());
+        if let Some(problem) = content.fields.iter().find_map(ScalarField::problem) {
+            return Err(write_error(path, problem));
         }
-        builder.point_format = format;
+        let layout = content.layout();
+        let builder = builder(&options, content).map_err(fail)?;
+        let format = builder.point_format;
         let header = builder.into_header().map_err(fail)?;
         let failure = Failure::default();
         let out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
@@ -85,6 +159,8 @@ impl LasWriter {
         Ok(LasWriter {
             writer,
             options,
+            fields: content.fields.clone(),
+            layout,
             format,
             transforms,
             min: [i32::MAX; 3],
@@ -100,11 +176,23 @@ impl LasWriter {
     /// # Errors
     /// Where a coordinate does not fit the lattice, or the disk fails.
     pub fn write(&mut self, batch: &PointBatch) -> Result<(), ScanError> {
+        self.write_with(batch, &[])
+    }
+
+    /// Appends a batch and the values of its fields, a column each.
+    ///
+    /// # Errors
+    /// Those of [`LasWriter::write`], and where the values are not one a field and point.
+    pub fn write_with(&mut self, batch: &PointBatch, values: &[Vec<f64>]) -> Result<(), ScanError> {
+        if let Some(problem) = field::mismatch(&self.fields, values, batch.len()) {
+            return Err(write_error(&self.path, problem));
+        }
         for start in (0..batch.len()).step_by(BLOCK_POINTS) {
             let block = start..batch.len().min(start + BLOCK_POINTS);
             let mut raw = Vec::with_capacity(block.len() * usize::from(self.format.len()));
             for i in block {
                 self.encode(batch, i, &mut raw)?;
+                self.fields.iter().zip(values).for_each(|(f, v)| f.kind.put(v[i], &mut raw));
             }
             let points = PointDataBuilder::new()
                 .with_format(self.format)
@@ -156,7 +244,7 @@ impl LasWriter {
             self.min[axis] = self.min[axis].min(place[axis]);
             self.max[axis] = self.max[axis].max(place[axis]);
         }
-        let mut record = [0; RECORD_BYTES];
+        let mut record = [0; MAX_RECORD_BYTES];
         for (slot, step) in record[..12].chunks_exact_mut(4).zip(place) {
             slot.copy_from_slice(&step.to_le_bytes());
         }
@@ -167,16 +255,28 @@ impl LasWriter {
             None => 0,
         };
         record[12..14].copy_from_slice(&intensity.to_le_bytes());
-        // The only return of its pulse.
-        record[14] = 0x11;
-        record[16] = batch.classification.as_ref().map_or(0, |v| v[i]);
-        let gps_time = batch.gps_time.as_ref().map_or(0.0, |v| v[i]);
-        record[22..30].copy_from_slice(&gps_time.to_le_bytes());
-        let color = batch.color.as_ref().map_or([0; 3], |v| v[i]);
-        for (slot, channel) in record[30..36].chunks_exact_mut(2).zip(color) {
-            slot.copy_from_slice(&channel.to_le_bytes());
+        let class = batch.classification.as_ref().map_or(0, |v| v[i]);
+        // The only return of its pulse, in three bits or in four.
+        if self.layout.is_legacy() {
+            if class > MAX_LEGACY_CLASS {
+                let problem = format!("class {class} has no room in a file with GeoTIFF keys");
+                return Err(write_error(&self.path, problem));
+            }
+            (record[14], record[15]) = (0x09, class);
+        } else {
+            (record[14], record[16]) = (0x11, class);
         }
-        raw.extend_from_slice(&record);
+        if let Some(at) = self.layout.gps_at {
+            let gps_time = batch.gps_time.as_ref().map_or(0.0, |v| v[i]);
+            record[at..at + 8].copy_from_slice(&gps_time.to_le_bytes());
+        }
+        if let Some(at) = self.layout.color_at {
+            let color = batch.color.as_ref().map_or([0; 3], |v| v[i]);
+            for (slot, channel) in record[at..at + 6].chunks_exact_mut(2).zip(color) {
+                slot.copy_from_slice(&channel.to_le_bytes());
+            }
+        }
+        raw.extend_from_slice(&record[..self.layout.record_bytes()]);
         if self.options.normals {
             let normal = batch.normal.as_ref().map_or([0.0; 3], |v| v[i]);
             for component in normal {
@@ -223,21 +323,77 @@ fn write_error(path: &Path, problem: String) -> ScanError {
     ScanError::Write { path: path.to_path_buf(), problem }
 }
 
-/// Describes the extra bytes nx, ny, nz: type 9 (f32), no options.
-fn normal_descriptors() -> Vlr {
-    let mut data = Vec::new();
-    for name in [b"nx", b"ny", b"nz"] {
-        let mut descriptor = [0; 192];
-        descriptor[2] = 9;
-        descriptor[4..6].copy_from_slice(name);
-        data.extend_from_slice(&descriptor);
+/// Says what the header holds.
+fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::Error> {
+    let normal = ["nx", "ny", "nz"].map(|name| ScalarField {
+        name: name.to_owned(),
+        description: String::new(),
+        kind: FieldKind::F32,
+    });
+    let normal = normal.into_iter().filter(|_| options.normals);
+    let extra: Vec<ScalarField> = normal.chain(content.fields.iter().cloned()).collect();
+    let mut format = Format::new(content.layout().point_format)?;
+    format.is_compressed = options.compressed;
+    // A record has room for 8 thousand of the widest; nobody asks for so many.
+    format.extra_bytes = extra.iter().map(|f| f.kind.n_bytes() as u16).sum();
+    let mut builder = Builder::default();
+    builder.version = Version::new(1, 4);
+    builder.generating_software = "pvmap".to_owned();
+    builder.transforms = transforms(options);
+    if content.is_standard_gps_time {
+        builder.gps_time_type = GpsTimeType::Standard;
     }
-    Vlr {
-        user_id: "LASF_Spec".to_owned(),
-        record_id: 4,
-        description: "extra bytes".to_owned(),
-        data,
+    if !extra.is_empty() {
+        let data = extra.iter().flat_map(descriptor).collect();
+        builder.vlrs.push(vlr("LASF_Spec", 4, "extra bytes", data));
     }
+    builder.vlrs.extend(crs_records(content.crs.as_ref()));
+    builder.point_format = format;
+    Ok(builder)
+}
+
+/// Describes a field of the extra bytes: no options. Source: LAS 1.4 specification, table 24.
+fn descriptor(field: &ScalarField) -> [u8; 192] {
+    let mut descriptor = [0; 192];
+    descriptor[2] = match field.kind {
+        FieldKind::U8 => 1,
+        FieldKind::I8 => 2,
+        FieldKind::U32 => 5,
+        FieldKind::F32 => 9,
+    };
+    // 32 bytes each, and a zero at the end for readers that want one.
+    for (at, text) in [(4, &field.name), (160, &field.description)] {
+        let n = text.len().min(31);
+        descriptor[at..at + n].copy_from_slice(&text.as_bytes()[..n]);
+    }
+    descriptor
+}
+
+/// Gives the records of a coordinate reference system.
+fn crs_records(crs: Option<&Crs>) -> Vec<Vlr> {
+    let projection = |id, description, data| vlr("LASF_Projection", id, description, data);
+    match crs {
+        None => Vec::new(),
+        Some(Crs::Wkt(text)) => {
+            // A C string: its end is a zero.
+            let data = [text.as_slice(), &[0]].concat();
+            vec![projection(2112, "WKT", data)]
+        }
+        Some(Crs::GeoTiff { keys, doubles, texts }) => {
+            let mut records = vec![projection(34735, "GeoTIFF keys", keys.clone())];
+            if !doubles.is_empty() {
+                records.push(projection(34736, "GeoTIFF doubles", doubles.clone()));
+            }
+            if !texts.is_empty() {
+                records.push(projection(34737, "GeoTIFF texts", texts.clone()));
+            }
+            records
+        }
+    }
+}
+
+fn vlr(user_id: &str, record_id: u16, description: &str, data: Vec<u8>) -> Vlr {
+    Vlr { user_id: user_id.to_owned(), record_id, description: description.to_owned(), data }
 }
 
 /// The first failure of the disk, shared with whoever has to report it.

@@ -10,6 +10,7 @@ use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_store::{AtomicFile, StoreError};
 
 use crate::error::ScanError;
+use crate::field::{self, FieldKind, ScalarField};
 use crate::source::ColorRange;
 
 /// Which columns to write, beside x, y and z.
@@ -33,6 +34,7 @@ pub struct PlyColumns {
 pub struct PlyWriter {
     out: BufWriter<AtomicFile>,
     columns: PlyColumns,
+    fields: Vec<ScalarField>,
     n_declared: u64,
     n_written: u64,
     path: PathBuf,
@@ -44,13 +46,31 @@ impl PlyWriter {
     /// # Errors
     /// Where it cannot be created.
     pub fn create(path: &Path, n_points: u64, columns: PlyColumns) -> Result<PlyWriter, ScanError> {
+        PlyWriter::create_with(path, n_points, columns, &[])
+    }
+
+    /// Starts a file whose points have fields, too: properties of their names behind the columns,
+    /// each with its description in a comment.
+    ///
+    /// # Errors
+    /// Where it cannot be created, or a field has a name that cannot be written.
+    pub fn create_with(
+        path: &Path,
+        n_points: u64,
+        columns: PlyColumns,
+        fields: &[ScalarField],
+    ) -> Result<PlyWriter, ScanError> {
+        if let Some(problem) = fields.iter().find_map(ScalarField::problem) {
+            return Err(ScanError::Write { path: path.to_path_buf(), problem });
+        }
         let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
-        let header = header(n_points as usize, columns);
+        let header = header(n_points as usize, columns, fields);
         ply_rs::writer::Writer::<DefaultElement>::new()
             .write_header(&mut out, &header)
             .map_err(|e| StoreError::io(path, "write", io::Error::other(e)))?;
         let path = path.to_path_buf();
-        Ok(PlyWriter { out, columns, n_declared: n_points, n_written: 0, path })
+        let fields = fields.to_vec();
+        Ok(PlyWriter { out, columns, fields, n_declared: n_points, n_written: 0, path })
     }
 
     /// Appends a batch; columns that it lacks are 0. Lattice positions are written as their steps.
@@ -58,10 +78,22 @@ impl PlyWriter {
     /// # Errors
     /// Where the disk fails.
     pub fn write(&mut self, batch: &PointBatch) -> Result<(), ScanError> {
+        self.write_with(batch, &[])
+    }
+
+    /// Appends a batch and the values of its fields, a column each.
+    ///
+    /// # Errors
+    /// Those of [`PlyWriter::write`], and where the values are not one a field and point.
+    pub fn write_with(&mut self, batch: &PointBatch, values: &[Vec<f64>]) -> Result<(), ScanError> {
+        if let Some(problem) = field::mismatch(&self.fields, values, batch.len()) {
+            return Err(ScanError::Write { path: self.path.clone(), problem });
+        }
         let mut row = Vec::new();
         for i in 0..batch.len() {
             row.clear();
             self.encode(batch, i, &mut row);
+            self.fields.iter().zip(values).for_each(|(f, v)| f.kind.put(v[i], &mut row));
             self.out.write_all(&row).map_err(|e| StoreError::io(&self.path, "write", e))?;
         }
         self.n_written += batch.len() as u64;
@@ -131,7 +163,7 @@ impl PlyWriter {
 }
 
 /// Describes the columns.
-fn header(n_points: usize, columns: PlyColumns) -> Header {
+fn header(n_points: usize, columns: PlyColumns, fields: &[ScalarField]) -> Header {
     let mut vertex = ElementDef::new("vertex".to_owned());
     vertex.count = n_points;
     let mut add = |names: &[&str], kind: ScalarType| {
@@ -157,7 +189,18 @@ fn header(n_points: usize, columns: PlyColumns) -> Header {
     if columns.gps_time {
         add(&["gps_time"], ScalarType::Double);
     }
+    for field in fields {
+        let kind = match field.kind {
+            FieldKind::U8 => ScalarType::UChar,
+            FieldKind::I8 => ScalarType::Char,
+            FieldKind::U32 => ScalarType::UInt,
+            FieldKind::F32 => ScalarType::Float,
+        };
+        add(&[&field.name], kind);
+    }
     let mut header = Header::new();
+    let described = fields.iter().filter(|f| !f.description.is_empty());
+    header.comments.extend(described.map(|f| format!("{}: {}", f.name, f.description)));
     header.encoding = Encoding::BinaryLittleEndian;
     header.elements.add(vertex);
     header

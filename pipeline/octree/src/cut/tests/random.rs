@@ -6,6 +6,7 @@ use pvmap_geometry::disc::Profile;
 use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::normal::{Normal, quantise};
 use pvmap_store::Quiet;
+use pvmap_vmap::Router;
 use pvmap_vmap::tree::route;
 use pvmap_vmap::{OctreeView, Shape, Tree};
 
@@ -43,9 +44,13 @@ fn any_cloud_is_cut_as_the_slow_way_cuts_it() {
 /// Counts the points that route to each leaf.
 pub(super) fn check_routes(cloud: &[TestPoint], tree: &Tree) {
     let mut n_routed = vec![0; tree.nodes.len()];
+    let mut router = Router::new(tree);
     for point in cloud {
         let Ok(leaf) = route(tree, &key_of(point));
-        n_routed[leaf.expect("a leaf for every point") as usize] += 1;
+        let leaf = leaf.expect("a leaf for every point") as usize;
+        n_routed[leaf] += 1;
+        // What remembers the leaf before answers alike.
+        assert_eq!(router.surfel_of(&key_of(point)), Ok(Some(tree.nodes[leaf].first_surfel)));
     }
     for surfel in &tree.surfels {
         assert_eq!(n_routed[surfel.node as usize], surfel.n_points);

@@ -1,76 +1,28 @@
-//! `pvmap export`: the content of a map as tables.
+//! The content of a map as tables.
 
-use std::ffi::OsStr;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::path::Path;
 
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, MapView};
-use pvmap::{Error, StoreError, TableFile, Watch, folder_of};
+use pvmap::{Error, StoreError, TableFile, Watch};
 
-use super::{Context, Outcome, map_file, refuse_input};
-
-/// Write surfels, nodes and links of a map as CSV tables
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-All numbers are integers. Places and lengths are in grid steps (pvmap info shows how long one is
-and where they begin), normals have length 16384; ids count from 0, in the order of the rows.
-A table goes to a file that appears whole, to a FIFO, or to standard output for - .
-
-Columns:
-  surfels   surfel, centroid cx cy cz, normal nx ny nz, squared radius r2, its cell's least corner
-            cell_x cell_y cell_z and cell_level, its patch box min_x ... max_z, n_points, two_sided
-  nodes     node, parent (-1 at the root), level, bin (-1 to 6), surfel (-1 unless a leaf)
-  links     node_a, node_b: all surfels below the one see all below the other
-
-Examples:
-  pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
-  pvmap export grotto.vmap --links - | head")]
-pub(super) struct Args {
-    /// The map, as pvmap build makes it
-    #[arg(value_name = "NAME.vmap")]
-    map: PathBuf,
-    /// Where the table of surfels goes [default: nowhere]
-    #[arg(long, value_name = "S.csv")]
-    surfels: Option<PathBuf>,
-    /// Where the table of nodes goes [default: nowhere]
-    #[arg(long, value_name = "N.csv")]
-    nodes: Option<PathBuf>,
-    /// Where the table of links goes [default: nowhere]
-    #[arg(long, value_name = "L.csv")]
-    links: Option<PathBuf>,
-}
+use super::super::map_file;
+use super::{Args, is_discs};
 
 const SURFEL_HEADER: &str = "surfel,cx,cy,cz,nx,ny,nz,r2,cell_x,cell_y,cell_z,cell_level,\
 min_x,min_y,min_z,max_x,max_y,max_z,n_points,two_sided";
 
-/// Says whether two outputs, which need not be there, have one place.
-fn same_place(a: &Path, b: &Path) -> bool {
-    let place =
-        |path: &Path| (folder_of(path).canonicalize().ok(), path.file_name().map(OsStr::to_owned));
-    place(a) == place(b)
-}
-
-pub(super) fn run(args: &Args, context: &Context) -> Outcome {
-    if args.surfels.is_none() && args.nodes.is_none() && args.links.is_none() {
-        let message = "nothing to write: give --surfels, --nodes or --links".to_owned();
-        return Err(Error::Usage(message).into());
-    }
-    let outputs: Vec<&PathBuf> =
-        [&args.surfels, &args.nodes, &args.links].into_iter().flatten().collect();
-    for (i, output) in outputs.iter().enumerate() {
-        refuse_input(output, std::slice::from_ref(&args.map))?;
-        if outputs[..i].iter().any(|other| same_place(other, output)) {
-            let message = format!("{}: two tables cannot go to one place", output.display());
-            return Err(Error::Usage(message).into());
-        }
+/// Writes the tables that are asked for.
+pub(super) fn run(args: &Args, watch: &dyn Watch) -> Result<(), Error> {
+    let table = args.surfels.as_ref().filter(|s| !is_discs(s));
+    if table.is_none() && args.nodes.is_none() && args.links.is_none() {
+        return Ok(());
     }
     let (path, bytes) = map_file(&args.map)?;
-    let watch = &context.progress;
     let named = |e: FormatError| Error::artifact(&path, e);
     let view = MapView::open(&bytes).map_err(named)?;
-    if let Some(output) = &args.surfels {
+    if let Some(output) = table {
         write(output, SURFEL_HEADER, |out| surfels(&view, &path, out, watch))?;
     }
     if let Some(output) = &args.nodes {
@@ -79,7 +31,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     if let Some(output) = &args.links {
         write(output, "node_a,node_b", |out| links(&view, &path, out, watch))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 type Out = BufWriter<TableFile>;

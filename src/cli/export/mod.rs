@@ -1,0 +1,135 @@
+//! `pvmap export`: the content of a map as tables, as discs, and on the user's own points.
+
+mod points;
+mod tables;
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use pvmap::vmap::octree::FILE_NAME;
+use pvmap::{Error, PointField, folder_of};
+
+use super::{Context, Outcome, refuse_input, threads_parser};
+
+/// Write what a map says onto the points of its scans, or its surfels, nodes and links
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Points (--points, with the octree that the map was built from): all points of all scans in one
+file, in the order of the scans as they were given to pvmap ingest and of the records in them,
+each with its coordinates, colour, intensity, class, GPS time and normal where the scans have
+them, and with the new fields. Steps of a LAS stay the whole numbers they were; coordinates of a
+PLY, or of scans on different lattices, are rounded to steps in a LAS, and intensities to whole
+numbers; in a PLY they are not. Returns, scan angles, flags and user data are not in an octree: in
+a LAS every point is a single return.
+
+Fields:
+  visible-from=X,Y,Z   visible_from: 1 where the surfel of a point sees that of the place, or is
+                       it, else 0
+  sees-count           sees_count: how many other surfels its surfel sees
+  leaf                 leaf: its surfel, as in the tables
+  level                level: of the surfel's cell; the whole cube has 0
+  bin                  bin: of the surfel's normal, 0 to 5 for +x -x +y -y +z -z, 6 without one,
+                       -1 in a plain tree
+A field of a kind that was given before is named visible_from_2, then visible_from_3, ...
+LAS has fields as extra bytes, PLY as properties of a vertex.
+
+Points that --memory does not hold wait in a nameless temporary file beside the output; how much
+is said before, and the disk must have it.
+
+Surfels as .ply: discs in the scan's units, x y z nx ny nz red green blue radius n_points level
+bin surfel. What follows is about the tables.
+
+All numbers are integers. Places and lengths are in grid steps (pvmap info shows how long one is
+and where they begin), normals have length 16384; ids count from 0, in the order of the rows.
+A table goes to a file that appears whole, to a FIFO, or to standard output for - .
+
+Columns:
+  surfels   surfel, centroid cx cy cz, normal nx ny nz, squared radius r2, its cell's least corner
+            cell_x cell_y cell_z and cell_level, its patch box min_x ... max_z, n_points, two_sided
+  nodes     node, parent (-1 at the root), level, bin (-1 to 6), surfel (-1 unless a leaf)
+  links     node_a, node_b: all surfels below the one see all below the other
+
+Examples:
+  pvmap export grotto.vmap --octree grotto.octree --points seen.las --field visible-from=1,2,3
+  pvmap export grotto.vmap --octree grotto.octree --points all.ply --field sees-count --field leaf
+  pvmap export grotto.vmap --surfels discs.ply
+  pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
+  pvmap export grotto.vmap --links - | head")]
+pub(super) struct Args {
+    /// The map, as pvmap build makes it
+    #[arg(value_name = "NAME.vmap")]
+    map: PathBuf,
+    /// The octree that the map was built from
+    #[arg(long, value_name = "NAME.octree", requires = "points")]
+    octree: Option<PathBuf>,
+    /// Where the points go: a .las, .laz or .ply [default: nowhere]
+    #[arg(long, value_name = "OUT.las", requires = "octree")]
+    points: Option<PathBuf>,
+    /// What each point gets beside what it has, as below; repeatable
+    #[arg(
+        long = "field",
+        value_name = "FIELD",
+        requires = "points",
+        value_parser = points::parse_field
+    )]
+    fields: Vec<PointField>,
+    /// How far from a surface the place of visible-from may be, in the
+    /// scan's units [default: twice the spacing of the points there]
+    #[arg(long, value_name = "DIST", requires = "points", verbatim_doc_comment)]
+    snap: Option<f64>,
+    /// Most memory that --points holds, at least 64MiB
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
+    /// Threads of --points; 0 takes as many as the machine has
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
+    threads: usize,
+    /// Where the surfels go: a table, or discs if it ends in .ply
+    /// [default: nowhere]
+    #[arg(long, value_name = "S.csv|S.ply", verbatim_doc_comment)]
+    surfels: Option<PathBuf>,
+    /// Where the table of nodes goes [default: nowhere]
+    #[arg(long, value_name = "N.csv")]
+    nodes: Option<PathBuf>,
+    /// Where the table of links goes [default: nowhere]
+    #[arg(long, value_name = "L.csv")]
+    links: Option<PathBuf>,
+}
+
+/// Says whether two outputs, which need not be there, have one place.
+fn same_place(a: &Path, b: &Path) -> bool {
+    let place =
+        |path: &Path| (folder_of(path).canonicalize().ok(), path.file_name().map(OsStr::to_owned));
+    place(a) == place(b)
+}
+
+/// Says whether an output of surfels is one of discs.
+fn is_discs(surfels: &Path) -> bool {
+    surfels.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"))
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    let outputs: Vec<&PathBuf> =
+        [&args.points, &args.surfels, &args.nodes, &args.links].into_iter().flatten().collect();
+    if outputs.is_empty() {
+        let message = "nothing to write: give --points, --surfels, --nodes or --links".to_owned();
+        return Err(Error::Usage(message).into());
+    }
+    let mut inputs = vec![args.map.clone()];
+    inputs.extend(args.octree.iter().map(|octree| octree.join(FILE_NAME)));
+    for (i, output) in outputs.iter().enumerate() {
+        refuse_input(output, &inputs)?;
+        if outputs[..i].iter().any(|other| same_place(other, output)) {
+            let message = format!("{}: two tables cannot go to one place", output.display());
+            return Err(Error::Usage(message).into());
+        }
+    }
+    if let (Some(octree), Some(output)) = (&args.octree, &args.points) {
+        points::run(args, octree, output, context)?;
+    }
+    if let Some(discs) = args.surfels.as_ref().filter(|s| is_discs(s)) {
+        pvmap::export_surfels(&args.map, discs, &context.progress)?;
+    }
+    tables::run(args, &context.progress)?;
+    Ok(ExitCode::SUCCESS)
+}
