@@ -5,7 +5,6 @@ use pvmap_scan::{FieldKind, ScalarField};
 use pvmap_store::Watch;
 use pvmap_vmap::FormatError;
 
-use super::Failure;
 use super::seen::{Bits, Wanted, look};
 
 /// A number that a map gives every point.
@@ -108,7 +107,7 @@ impl<'m, 'a> Values<'m, 'a> {
         located: &[Option<Located>],
         map: &'m Map<'a>,
         watch: &dyn Watch,
-    ) -> Result<Values<'m, 'a>, Failure> {
+    ) -> Result<Values<'m, 'a>, QueryError> {
         let eyes: Vec<Located> = located.iter().flatten().copied().collect();
         let counts = fields.iter().filter(|f| matches!(f, PointField::SeesCount)).count();
         let seen = look(map, &Wanted { eyes: &eyes, counts: counts > 0 }, watch)?;

@@ -14,7 +14,7 @@ use pvmap_query::{Map, QueryError, Snap};
 use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch, memory};
 use pvmap_vmap::octree::{FILE_NAME, Point};
-use pvmap_vmap::{FormatError, MapView, OctreeView, Router};
+use pvmap_vmap::{MapView, OctreeView, Router};
 
 use crate::build::open_octree;
 use crate::{Error, Limits};
@@ -132,8 +132,8 @@ fn run(
     let located: Result<Vec<_>, _> =
         request.fields.iter().map(|f| f.locate(map, request.snap)).collect();
     let located = located.map_err(|e| of_map(&request.map, e))?;
-    let values = Values::of(&request.fields, &located, map, watch)
-        .map_err(|e| e.named(|e| of_map(&request.map, e)))?;
+    let values =
+        Values::of(&request.fields, &located, map, watch).map_err(|e| of_map(&request.map, e))?;
     let folder = folder_of(&request.output);
     let tagger = || tagger(&request.map, map.view());
     let all = BySource::gather::<Error, _>(octree, folder, memory_bytes, tagger, watch)?;
@@ -186,32 +186,4 @@ fn require_disk(
         ));
     }
     Ok(memory::require_disk(&request.output, output_bytes.saturating_add(temporary))?)
-}
-
-/// What can go wrong while a map is read: the map, or a wish to stop.
-#[derive(Debug)]
-enum Failure {
-    Map(FormatError),
-    Store(StoreError),
-}
-
-impl Failure {
-    fn named(self, of_map: impl Fn(FormatError) -> Error) -> Error {
-        match self {
-            Failure::Map(e) => of_map(e),
-            Failure::Store(e) => e.into(),
-        }
-    }
-}
-
-impl From<FormatError> for Failure {
-    fn from(e: FormatError) -> Failure {
-        Failure::Map(e)
-    }
-}
-
-impl From<StoreError> for Failure {
-    fn from(e: StoreError) -> Failure {
-        Failure::Store(e)
-    }
 }

@@ -1,13 +1,9 @@
-//! What surfels see, gathered in one pass over all links.
+//! What surfels see.
 
 use std::ops::Range;
 
-use pvmap_query::{Located, Map};
+use pvmap_query::{Located, Map, QueryError};
 use pvmap_store::Watch;
-use pvmap_vmap::Node;
-use pvmap_vmap::tree::Nodes;
-
-use super::Failure;
 
 /// A set of surfels, a bit each.
 pub(super) struct Bits(Vec<u64>);
@@ -47,74 +43,24 @@ pub(super) struct Found {
     pub(super) counts: Vec<u32>,
 }
 
-/// Reads all links, if anything is asked for.
+/// Asks the map.
 pub(super) fn look(
     map: &Map<'_>,
     wanted: &Wanted<'_>,
     watch: &dyn Watch,
-) -> Result<Found, Failure> {
-    let view = map.view();
-    let n_surfels = view.summary().n_surfels;
-    let mut by_eye: Vec<Bits> = wanted.eyes.iter().map(|_| Bits::none(n_surfels)).collect();
-    for (bits, eye) in by_eye.iter_mut().zip(wanted.eyes) {
-        bits.add(eye.surfel..eye.surfel + 1);
+) -> Result<Found, QueryError> {
+    let n_surfels = map.view().summary().n_surfels;
+    if !wanted.eyes.is_empty() || wanted.counts {
+        watch.stage("links", None, "links");
     }
-    let mut sums = Sums(vec![0; if wanted.counts { n_surfels as usize + 1 } else { 0 }]);
-    if wanted.eyes.is_empty() && !wanted.counts {
-        return Ok(Found { by_eye, counts: Vec::new() });
-    }
-    watch.stage("links", Some(view.summary().n_links), "links");
-    // The links of a node stand together: it is read once.
-    let mut near: Option<(u32, Node)> = None;
-    for block in 0..view.n_link_blocks() {
-        watch.check()?;
-        let lists = view.link_lists(block)?;
-        for (a, b) in lists.iter() {
-            let first = match near {
-                Some((id, node)) if id == a => node,
-                _ => view.node(a)?,
-            };
-            near = Some((a, first));
-            let second = view.node(b)?;
-            for (bits, eye) in by_eye.iter_mut().zip(wanted.eyes) {
-                if (a..first.end).contains(&eye.node) {
-                    bits.add(surfels_of(&second));
-                } else if (b..second.end).contains(&eye.node) {
-                    bits.add(surfels_of(&first));
-                }
-            }
-            sums.add(surfels_of(&first), surfels_of(&second).len() as u32);
-            sums.add(surfels_of(&second), surfels_of(&first).len() as u32);
-        }
-        watch.advance(lists.len() as u64);
-    }
-    Ok(Found { by_eye, counts: sums.done() })
-}
-
-fn surfels_of(node: &Node) -> Range<u32> {
-    node.first_surfel..node.end_surfel
-}
-
-/// Numbers that whole ranges are added to, as differences. They wrap on the way; a sum is below
-/// 2^32, as it counts surfels.
-struct Sums(Vec<u32>);
-
-impl Sums {
-    fn add(&mut self, range: Range<u32>, n: u32) {
-        if range.end as usize >= self.0.len() {
-            return;
-        }
-        let [start, end] = [range.start, range.end].map(|i| i as usize);
-        self.0[start] = self.0[start].wrapping_add(n);
-        self.0[end] = self.0[end].wrapping_sub(n);
-    }
-
-    fn done(mut self) -> Vec<u32> {
-        let mut sum = 0u32;
-        for n in &mut self.0 {
-            sum = sum.wrapping_add(*n);
-            *n = sum;
-        }
-        self.0
-    }
+    let of_eye = |eye: &Located| {
+        let mut bits = Bits::none(n_surfels);
+        let seen = map.visible_from(eye)?.surfels;
+        seen.ranges().iter().for_each(|range| bits.add(range.clone()));
+        Ok::<_, QueryError>(bits)
+    };
+    Ok(Found {
+        by_eye: wanted.eyes.iter().map(of_eye).collect::<Result<_, _>>()?,
+        counts: if wanted.counts { map.sees_counts()? } else { Vec::new() },
+    })
 }
