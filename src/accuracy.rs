@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use fastrand::Rng;
+use pvmap_query::exact::Exact;
 use pvmap_query::{ErrorKind, Map, Place, Snap};
 use pvmap_scene::{Sample, Scene};
 use pvmap_store::Watch;
@@ -45,6 +46,15 @@ impl<'a> Way<'a> {
         let locate = |place: &Place| map.locate(place, Snap::Within(f64::INFINITY));
         let answer = move |a: &Place, b: &Place| Ok(map.pair(&locate(a)?, &locate(b)?)?.visible);
         Way { name: "leaves", answer: Box::new(answer) }
+    }
+
+    /// Answers by the points of an octree, those nearest to the places. [V-7]
+    pub fn points(exact: Exact<'a, 'a>) -> Way<'a> {
+        let answer = move |a: &Place, b: &Place| {
+            let [a, b] = [exact.nearest(a)?.point, exact.nearest(b)?.point];
+            Ok(exact.pair(&a, &b)?.visible)
+        };
+        Way { name: "points", answer: Box::new(answer) }
     }
 }
 

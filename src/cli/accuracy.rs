@@ -6,11 +6,12 @@ use std::process::ExitCode;
 
 use pvmap::accuracy::{self, Comparison, Drawn, ScanPoints, Tally, Way, wilson};
 use pvmap::query::Map;
+use pvmap::query::exact::Exact;
 use pvmap::scene::Scene;
-use pvmap::vmap::OctreeView;
 use pvmap::{Error, Watch, scenes};
 use serde_json::{Value, json};
 
+use super::exact::{Nearness, Points};
 use super::{Context, Outcome, map_file, parse_some, print_json};
 
 /// Compare answers of a map with the exact triangles of its scene
@@ -39,7 +40,8 @@ Examples:
   pvmap scene cornell --model bunny.ply -o room.ply --truth room.mesh.ply
   pvmap ingest room.ply
   pvmap build room.octree
-  pvmap accuracy room.vmap --truth room.mesh.ply --octree room.octree")]
+  pvmap accuracy room.vmap --truth room.mesh.ply --octree room.octree
+  pvmap accuracy room.vmap --truth room.mesh.ply --octree room.octree --exact")]
 pub(super) struct Args {
     /// The map, as pvmap build makes it
     #[arg(value_name = "NAME.vmap")]
@@ -50,6 +52,11 @@ pub(super) struct Args {
     /// Draw points of the scan instead of places on the triangles
     #[arg(long, value_name = "NAME.octree")]
     octree: Option<PathBuf>,
+    /// Ask the points of the octree, too: a second column
+    #[arg(long, requires = "octree")]
+    exact: bool,
+    #[command(flatten)]
+    nearness: Nearness,
     /// How many pairs
     #[arg(long, default_value = "100k", value_parser = parse_some, value_name = "N")]
     pairs: u64,
@@ -65,30 +72,34 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let watch = &context.progress;
     let (path, bytes) = map_file(&args.map)?;
     let map = Map::open(&bytes).map_err(|e| named(&path, e.into()))?;
-    let octree = args.octree.as_deref().map(map_file).transpose()?;
+    let octree = args.octree.as_deref().map(|octree| Points::open(Some(octree), &path));
+    let octree = octree.transpose()?;
+    let view = octree.as_ref().map(Points::view).transpose()?;
     watch.stage("truth", None, "triangles");
     let truth = Scene::of_mesh(&scenes::read_mesh(&args.truth)?, args.seed);
     watch.advance(truth.n_surfaces() as u64);
     watch.stage("accuracy", Some(args.pairs), "pairs");
-    // A point-exact answer would be one more way here, and one more column of what is printed.
-    let mut ways = [Way::leaves(&map)];
+    let mut ways = vec![Way::leaves(&map)];
+    if let (Some(points), Some(view)) = (&octree, &view) {
+        let refuse = |e| points.named(&path, e);
+        let exact = Exact::new(view, args.nearness.options(&map).map_err(refuse)?);
+        exact.require_map(&map).map_err(refuse)?;
+        ways.extend(args.exact.then(|| Way::points(exact)));
+    }
     let mut ask = |draw: &mut dyn FnMut(&mut fastrand::Rng) -> Result<Drawn, Error>| {
-        accuracy::compare(&truth, (args.pairs, args.seed), draw, &mut ways, watch)
-            .map_err(|e| named(&path, e))
-    };
-    let found = match &octree {
-        None => ask(&mut |rng| Ok(accuracy::draw_place(&truth, rng)))?,
-        Some((name, bytes)) => {
-            let view = OctreeView::open(bytes).map_err(|e| Error::artifact(name, e))?;
-            if view.summary().digest != map.view().summary().digest {
-                let name = name.display();
-                let message =
-                    format!("{}: was not built from the points of {name}", path.display());
-                return Err(Error::Data(message).into());
+        accuracy::compare(&truth, (args.pairs, args.seed), draw, &mut ways, watch).map_err(|e| {
+            match (e, &octree) {
+                (Error::Query(e), Some(points)) => points.named(&path, e),
+                (e, _) => named(&path, e),
             }
-            let points = ScanPoints::new(&view, name)?;
+        })
+    };
+    let found = match (&octree, &view) {
+        (Some(octree), Some(view)) => {
+            let points = ScanPoints::new(view, octree.path())?;
             ask(&mut |rng| points.draw(&truth, rng))?
         }
+        _ => ask(&mut |rng| Ok(accuracy::draw_place(&truth, rng)))?,
     };
     if found.n_pairs == 0 {
         let message = format!(

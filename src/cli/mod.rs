@@ -3,6 +3,7 @@
 mod accuracy;
 mod build;
 mod demo;
+mod exact;
 mod export;
 mod info;
 mod ingest;

@@ -1,12 +1,16 @@
 //! `pvmap query MAP pair`: do two places see each other?
 
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
-use pvmap::query::{Located, PairAnswer};
+use pvmap::Error;
+use pvmap::query::exact::{Exact, Verdict};
+use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
 use super::{Asked, Outcome, commas, parse_point, place, print_json};
+use crate::cli::exact::{Nearness, Points};
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
 #[derive(Debug, clap::Args)]
@@ -24,9 +28,16 @@ Answer:
   crowd     which surfels those are, the first and the last id of each node
   cells     where each node's cell is, lowest and highest corner, in the scan's units
 
+With --exact the answer is that of the scan's points nearest to the two places: no if so many
+others have tangent planes that cross the line between them so near to themselves, away from both
+ends. What the surfels say is told beside it.
+  leaves    whether the surfels say the same
+  occluders points found in the way, of which the search ends with the last that it takes
+
 Examples:
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6
-  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json")]
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --exact --delta 0.02 --k 2")]
 pub(super) struct Args {
     /// One place, in the scan's units
     #[arg(value_parser = parse_point, allow_hyphen_values = true, value_name = "X1,Y1,Z1")]
@@ -44,15 +55,26 @@ pub(super) struct Args {
     /// [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
+    /// Ask the points of the octree instead of surfels
+    #[arg(long)]
+    exact: bool,
+    /// With --exact: the octree the map was built from [default: the map's name with .octree]
+    #[arg(long, value_name = "NAME.octree", requires = "exact")]
+    octree: Option<PathBuf>,
+    #[command(flatten)]
+    nearness: Nearness,
     /// Answer as one JSON object
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
-    let a = asked.locate(&place(args.a, args.normal1), args.snap)?;
-    let b = asked.locate(&place(args.b, args.normal2), args.snap)?;
+    let places = [place(args.a, args.normal1), place(args.b, args.normal2)];
+    let a = asked.locate(&places[0], args.snap)?;
+    let b = asked.locate(&places[1], args.snap)?;
     let answer = asked.named(asked.map.pair(&a, &b))?;
+    let exact = if args.exact { Some(ask_points(asked, args, &places)?) } else { None };
+    let visible = exact.as_ref().map_or(answer.visible, |verdict| verdict.visible);
     let cells = match &answer.link {
         Some(link) => Some([
             asked.named(asked.map.cell_of(link.nodes.0))?,
@@ -65,10 +87,22 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         if let Some(cells) = cells {
             object["link"]["cells"] = json!(cells);
         }
+        if let Some(verdict) = &exact {
+            object["exact"] = json!({
+                "visible": verdict.visible,
+                "occluders": verdict.occluders.len(),
+                "points_read": verdict.work.n_points,
+            });
+        }
         print_json(&object)?;
     } else {
         let mut out = io::stdout().lock();
-        writeln!(out, "{}", if answer.visible { "yes" } else { "no" })?;
+        writeln!(out, "{}", if visible { "yes" } else { "no" })?;
+        if let Some(verdict) = &exact {
+            let said = if answer.visible { "yes" } else { "no" };
+            writeln!(out, "  leaves    say {said}")?;
+            writeln!(out, "  occluders {}", verdict.occluders.len())?;
+        }
         writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
         writeln!(out, "  distances {} and {}", a.distance, b.distance)?;
         match &answer.link {
@@ -87,7 +121,19 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             writeln!(out, "  {title:9} {} to {}", commas(low), commas(high))?;
         }
     }
-    Ok(ExitCode::from(u8::from(!answer.visible)))
+    Ok(ExitCode::from(u8::from(!visible)))
+}
+
+/// Asks the points of the octree. [V-7]
+fn ask_points(asked: &Asked<'_, '_>, args: &Args, places: &[Place; 2]) -> Result<Verdict, Error> {
+    let points = Points::open(args.octree.as_deref(), asked.path)?;
+    let view = points.view()?;
+    let ask = || {
+        let exact = Exact::new(&view, args.nearness.options(asked.map)?);
+        exact.require_map(asked.map)?;
+        exact.pair(&exact.nearest(&places[0])?.point, &exact.nearest(&places[1])?.point)
+    };
+    ask().map_err(|e| points.named(asked.path, e))
 }
 
 /// Gives an answer with the places it is about.

@@ -2,14 +2,17 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 use csv::StringRecord;
-use pvmap::query::{Located, PairAnswer, Place, Snap};
+use pvmap::query::exact::{Disagreement, Exact};
+use pvmap::query::{ErrorKind, Located, PairAnswer, Place, QueryError, Snap};
 use rayon::prelude::*;
 use serde_json::Value;
 
 use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
 use super::{Asked, Outcome, pair, place, snap_of};
+use crate::cli::exact::{Nearness, Points};
 
 /// Answer a table of pairs, a row an input row, in order
 #[derive(Debug, clap::Args)]
@@ -22,13 +25,18 @@ Output columns:
   visible                       0 or 1, empty where there is no answer
   surfel1 surfel2               which surfels the places lie on
   distance1 distance2           how far from them, in the scan's units
+  exact                         with --exact: the same, by the points nearest to the places
   error                         why there is no answer
+
+With --exact it says at the end, on stderr, how often surfels and points disagree; pvmap query
+MAP pair --help tells what the points are asked.
 
 It ends with 0 once every row is answered, and with 65 at a row that is no text or longer than
 64 KiB.
 
 Examples:
   pvmap query grotto.vmap pairs rows.csv > answers.csv
+  pvmap query grotto.vmap pairs rows.csv --exact --delta 0.02 --k 2 > answers.csv
   printf 'x1,y1,z1,x2,y2,z2\\n1,2,3,-4,5,6\\n' | pvmap query grotto.vmap pairs -")]
 pub(super) struct Args {
     /// A CSV file with a header row, or - for standard input
@@ -38,6 +46,14 @@ pub(super) struct Args {
     /// [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
+    /// Ask the points of the octree, too
+    #[arg(long)]
+    exact: bool,
+    /// With --exact: the octree the map was built from [default: the map's name with .octree]
+    #[arg(long, value_name = "NAME.octree", requires = "exact")]
+    octree: Option<PathBuf>,
+    #[command(flatten)]
+    nearness: Nearness,
     /// Answer as a JSON object a line
     #[arg(long)]
     json: bool,
@@ -52,7 +68,28 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             PlaceColumns::find(header, ["x2", "y2", "z2"], ["nx2", "ny2", "nz2"], EXPECTED)?,
         ])
     })?;
-    batch::answer(rows, &Pairs { asked, columns, snap: snap_of(args.snap) }, args.json)
+    let pairs = Pairs { asked, columns, snap: snap_of(args.snap) };
+    if !args.exact {
+        return batch::answer(rows, &pairs, args.json);
+    }
+    let points = Points::open(args.octree.as_deref(), asked.path)?;
+    let view = points.view()?;
+    let options = args.nearness.options(asked.map).map_err(|e| points.named(asked.path, e))?;
+    let exact = Exact::new(&view, options);
+    exact.require_map(asked.map).map_err(|e| points.named(asked.path, e))?;
+    let both = ExactPairs { pairs, points: &points, exact, found: Mutex::default() };
+    let ended = batch::answer(rows, &both, args.json)?;
+    let found = both.found.into_inner().unwrap_or_else(PoisonError::into_inner);
+    eprintln!(
+        "pvmap: surfels and points disagree in {} of {} pairs ({:.2} %): {} only the points see, \
+         {} only the surfels",
+        found.n_exact_only + found.n_leaf_only,
+        found.n_pairs(),
+        100.0 * found.share(),
+        found.n_exact_only,
+        found.n_leaf_only,
+    );
+    Ok(ended)
 }
 
 /// Where the columns of a place are.
@@ -117,5 +154,57 @@ impl Batch for Pairs<'_, '_, '_> {
 
     fn object(&self, (a, b, answer): &Self::Answer) -> Value {
         pair::as_json(a, b, answer)
+    }
+}
+
+/// Pairs that are asked of the points, too.
+struct ExactPairs<'q, 'm, 'a, 'v, 'o> {
+    pairs: Pairs<'q, 'm, 'a>,
+    points: &'q Points,
+    exact: Exact<'v, 'o>,
+    found: Mutex<Disagreement>,
+}
+
+impl ExactPairs<'_, '_, '_, '_, '_> {
+    fn ask_points(&self, row: &StringRecord) -> Result<bool, RowError> {
+        let Pairs { asked, columns, .. } = &self.pairs;
+        let [a, b] = [columns[0].read(row)?, columns[1].read(row)?];
+        let exact = &self.exact;
+        let ask = || exact.pair(&exact.nearest(&a)?.point, &exact.nearest(&b)?.point);
+        ask().map(|verdict| verdict.visible).map_err(|e: QueryError| match e.kind() {
+            ErrorKind::Place | ErrorKind::Usage => RowError::Row(e.to_string()),
+            _ => RowError::Map(self.points.named(asked.path, e)),
+        })
+    }
+}
+
+impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
+    type Answer = ((Located, Located, PairAnswer), bool);
+
+    const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,exact,error";
+
+    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>> {
+        let by_leaves = self.pairs.answers(rows);
+        let both: Vec<Result<Self::Answer, RowError>> = by_leaves
+            .into_par_iter()
+            .zip(rows)
+            .map(|(answer, row)| Ok((answer?, self.ask_points(row)?)))
+            .collect();
+        let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        for ((_, _, answer), exact) in both.iter().flatten() {
+            found.count(answer.visible, *exact);
+        }
+        both
+    }
+
+    fn write(&self, (answer, exact): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
+        self.pairs.write(answer, out)?;
+        write!(out, "{},", u8::from(*exact))
+    }
+
+    fn object(&self, (answer, exact): &Self::Answer) -> Value {
+        let mut object = self.pairs.object(answer);
+        object["exact"] = (*exact).into();
+        object
     }
 }
