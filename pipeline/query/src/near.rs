@@ -4,17 +4,17 @@
 //! bins: microseconds. Places that are asked for lie close together, so the leaves that meet a
 //! small cell are noted, with their surfels, and the next place in that cell only compares.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use pvmap_geometry::{Box3, GridPoint, morton};
 use pvmap_vmap::{FormatError, Node, Surfel};
 
 use crate::map::Map;
 
-/// Cells kept. With the usual four leaves each they take some 10 MB, at the most 50 MB.
-const SLOT_BITS: u32 = 14;
+/// Cells kept. With the usual four leaves each they take some 40 MB, at the most 160 MB.
+const SLOT_BITS: u32 = 16;
 /// The most leaves noted for a cell; where more meet it, it is too large to be of use.
-const MAX_LEAVES: usize = 24;
+const MAX_LEAVES: usize = 16;
 
 /// A leaf that meets a cell.
 #[derive(Debug)]
@@ -32,10 +32,13 @@ struct Spot {
     leaves: Option<Arc<[NearLeaf]>>,
 }
 
+type Slot = Mutex<Option<Spot>>;
+
 /// The cells asked for last.
 #[derive(Debug)]
 pub(crate) struct Spots {
-    slots: Box<[Mutex<Option<Spot>>]>,
+    /// Made when they are first needed: opening a map takes less time than that.
+    slots: OnceLock<Box<[Slot]>>,
     level: u8,
 }
 
@@ -44,7 +47,7 @@ impl Spots {
     pub(crate) fn new(n_surfels: u32) -> Spots {
         // Surfels lie along surfaces: so many cells of level L hold some, 4^L of a plain one.
         let level = (n_surfels.max(1).ilog2() / 2).min(morton::MAX_LEVEL.into()) as u8;
-        Spots { slots: (0..1 << SLOT_BITS).map(|_| Mutex::default()).collect(), level }
+        Spots { slots: OnceLock::new(), level }
     }
 }
 
@@ -56,14 +59,16 @@ impl Map<'_> {
         let key = morton::cell_range(morton::encode(g), level).start;
         // Fibonacci hashing: the upper bits of the product depend on all of the key.
         let hash = key.rotate_left(u32::from(level) * 3 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let slot = &self.spots.slots[(hash >> (64 - SLOT_BITS)) as usize];
+        let slots = || (0..1 << SLOT_BITS).map(|_| Slot::default()).collect();
+        let slot = &self.spots.slots.get_or_init(slots)[(hash >> (64 - SLOT_BITS)) as usize];
         let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(spot) = kept().as_ref().filter(|spot| spot.key == key) {
             return spot.leaves.clone();
         }
         let min = morton::decode(key).map(|v| v as i32);
         let side = 1 << (22 - level);
-        let cell = Box3 { min, max: min.map(|v| v + side) };
+        // Not closed: places on its upper faces are in the next cell.
+        let cell = Box3 { min, max: min.map(|v| v + side - 1) };
         let leaves = self.leaves_meeting(&cell).ok()?;
         *kept() = Some(Spot { key, leaves: leaves.clone() });
         leaves
