@@ -6,6 +6,7 @@ mod export;
 mod info;
 mod ingest;
 mod query;
+mod render;
 mod scene;
 mod verify;
 
@@ -69,6 +70,7 @@ enum Command {
     Ingest(ingest::Args),
     Build(build::Args),
     Query(query::Args),
+    Render(render::Args),
     Info(info::Args),
     Verify(verify::Args),
     Export(export::Args),
@@ -142,6 +144,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Ingest(args) => ingest::run(&args, context),
         Command::Build(args) => build::run(&args, context),
         Command::Query(args) => query::run(&args),
+        Command::Render(args) => render::run(&args, context),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args, context),
         Command::Export(args) => export::run(&args, context),
