@@ -268,6 +268,9 @@ impl Outline {
     /// Finds the columns and rows it may cover, its fringe included; none where there are none.
     fn covered(&self, seen: &Seen, normal: Vector, camera: &Camera) -> Option<[Span; 2]> {
         let size = camera.size();
+        if self.is_beside(seen, camera) {
+            return None;
+        }
         let span = |axis: usize, side_px: u32| {
             let (low, high) = match self.is_round {
                 true => disc_extent(seen, normal, self.reach, camera, axis),
@@ -283,6 +286,21 @@ impl Outline {
             (from < to).then_some([from, to])
         };
         Some([span(0, size.width_px)?, span(1, size.height_px)?])
+    }
+
+    /// Says whether all of it lies outside one side of the pyramid that the picture shows.
+    ///
+    /// What reaches behind the eye would otherwise be looked for at every pixel, and from within a
+    /// room thousands of splats beside the eye do.
+    fn is_beside(&self, seen: &Seen, camera: &Camera) -> bool {
+        let (size, focal_px) = (camera.size(), camera.focal_px());
+        let outside = |axis: usize, side_px: u32| {
+            let half = f64::from(side_px) / 2.0 + f64::from(FRINGE_PX + SPOT_PX);
+            let slant = (focal_px * focal_px + half * half).sqrt();
+            let beyond = seen.place[axis].abs() * focal_px - seen.place[2] * half;
+            beyond > self.reach * slant
+        };
+        camera.is_perspective() && (outside(0, size.width_px) || outside(1, size.height_px))
     }
 
     /// Gives where a patch begins and ends along an axis of the picture: at its corners.
@@ -324,4 +342,32 @@ fn disc_extent(
     }
     let root = (b * b - a * c).max(0.0).sqrt();
     ((b + root) / a * focal_px, (b - root) / a * focal_px)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Lens, Size, View};
+    use pvmap_geometry::{Frame, grid};
+
+    #[test]
+    fn what_lies_beside_the_eye_is_looked_for_nowhere() {
+        let frame = Frame::of_world([0.0; 3], [f64::from(grid::GRID_MAX); 3]);
+        let (eye, target) = ([1000.0; 3], [1000.0, 2000.0, 1000.0]);
+        let lens = Lens::Perspective { fov_deg: 90.0 };
+        let view = View { eye, target, up: [0.0, 0.0, 1.0], lens };
+        let size = Size { width_px: 100, height_px: 100 };
+        let camera = Camera::new(&view, size, &frame).expect("a good camera");
+        let look = Look { cull_back: false, shade: 0.0 };
+        let at = |x: f32, shape| {
+            let (centre, normal) = ([x, 1001.0, 1000.0], [1.0, 0.0, 0.0]);
+            let splat = Splat { centre, normal, shape, two_sided: true, color: [1.0; 3] };
+            Disc::of(&splat, &camera, look)
+        };
+        for shape in [Shape::Round(5.0), Shape::Box([3.0; 3])] {
+            // Both reach behind the eye, the second into the picture.
+            assert!(at(1100.0, shape).is_none() && at(900.0, shape).is_none());
+            assert!(at(1002.0, shape).is_some_and(|disc| disc.columns == [0, 100]));
+        }
+    }
 }
