@@ -1,10 +1,11 @@
 //! How a splat covers the pixels of a picture.
 //!
 //! The ray through a pixel meets the splat's plane at a place p from its middle. With the splat's
-//! half axes as units p is (a, b, c); the pixel is on a disc where F = a² + b² ≤ 1, on a patch, the
-//! piece of a plane in a box, where F = max(a², b², c²) ≤ 1. That is exact for either lens. A splat that is smaller than a pixel, or
-//! seen from its edge, would fall between the rays: it covers at least a spot of [`SPOT_PX`] around
-//! its middle, too. Beyond its rim it fades out over [`FRINGE_PX`].
+//! half axes as units p is (a, b, c); the pixel is on a disc where F = a² + b² ≤ 1, on a patch,
+//! the piece of a plane in a box, where F = max(a², b², c²) ≤ 1. That is exact for either lens. A
+//! splat that is smaller than a pixel, or seen from its edge, would fall between the rays: it
+//! covers at least a spot of [`SPOT_PX`] around its middle, too. Beyond its rim it fades out over
+//! [`FRINGE_PX`].
 //!
 //! Source: ray against plane and the spot as in Botsch et al. 2005, "High-quality surface splatting
 //! on today's GPUs", §3.

@@ -30,8 +30,8 @@ pub struct Splat {
 pub enum Shape {
     /// A disc of this radius, more than 0.
     Round(f32),
-    /// What of its plane is so far from its middle at the most along x, y and z, each more than 0. A
-    /// disc where there is no normal.
+    /// What of its plane is so far from its middle at the most along x, y and z, each more than 0.
+    /// A disc where there is no normal.
     Box([f32; 3]),
 }
 
