@@ -59,6 +59,7 @@ pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use pvmap_geometry as geometry;
 pub use pvmap_octree::ingest::{NormalsFrom, Orientation};
 pub use pvmap_query as query;
+pub use pvmap_render as render;
 pub use pvmap_scan as scan;
 pub use pvmap_scene as scene;
 pub use pvmap_store::map::exit_on_lost_pages;

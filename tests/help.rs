@@ -7,7 +7,7 @@ mod cli_common;
 use cli_common::{Bench, room};
 
 /// Every page of help: its name, and what asks for it.
-const PAGES: [(&str, &str); 17] = [
+const PAGES: [(&str, &str); 18] = [
     ("pvmap", "--help"),
     ("ingest", "ingest --help"),
     ("build", "build --help"),
@@ -22,6 +22,7 @@ const PAGES: [(&str, &str); 17] = [
     ("info", "info --help"),
     ("verify", "verify --help"),
     ("export", "export --help"),
+    ("render", "render --help"),
     ("scene", "scene --help"),
     ("accuracy", "accuracy --help"),
     ("demo", "demo --help"),
@@ -50,9 +51,10 @@ fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
         assert!(examples.contains(&start) || examples.contains(&start[1..]), "{name}: {examples}");
         assert!(page.contains("[default: auto]"), "{name}: defaults");
     }
-    for command in
-        ["ingest", "build", "query", "info", "verify", "export", "scene", "accuracy", "demo"]
-    {
+    for command in [
+        "ingest", "build", "query", "render", "info", "verify", "export", "scene", "accuracy",
+        "demo",
+    ] {
         assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
         // The short form and the long one are the same page.
         let [short, long] = ["-h", "--help"].map(|h| bench.line(&format!("{command} {h}")).ok());
@@ -61,6 +63,7 @@ fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
     for (name, unit) in [
         ("query_pair", "scan's units"),
         ("export", "grid steps"),
+        ("render", "degrees"),
         ("scene", "metres"),
         ("ingest", "MiB"),
     ] {

@@ -63,6 +63,11 @@ impl Points {
         match e {
             QueryError::Octree(e) => Error::artifact(&self.path, e),
             QueryError::Format(e) => Error::artifact(map, e),
+            QueryError::OtherOctree => Error::Data(format!(
+                "{}: was not built from the points of {}; give the octree it was built from",
+                map.display(),
+                self.path.display()
+            )),
             e => Error::Query(e),
         }
     }

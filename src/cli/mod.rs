@@ -8,6 +8,7 @@ mod export;
 mod info;
 mod ingest;
 mod query;
+mod render;
 mod scene;
 mod verify;
 
@@ -71,6 +72,7 @@ enum Command {
     Ingest(ingest::Args),
     Build(build::Args),
     Query(query::Args),
+    Render(render::Args),
     Info(info::Args),
     Verify(verify::Args),
     Export(export::Args),
@@ -145,6 +147,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Ingest(args) => ingest::run(&args, context),
         Command::Build(args) => build::run(&args, context),
         Command::Query(args) => query::run(&args),
+        Command::Render(args) => render::run(&args, context),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args, context),
         Command::Export(args) => export::run(&args, context),

@@ -1,0 +1,262 @@
+//! Cameras: from the world to the screen.
+
+use pvmap_geometry::Frame;
+
+use crate::error::RenderError;
+use crate::vector::{Vector, add_scaled, cross, direction, dot, sub};
+
+/// The largest side of a picture.
+const MAX_SIDE_PX: u32 = 1 << 14;
+/// A default view leaves this share of the picture free around the scan.
+const MARGIN: f64 = 0.04;
+/// Up and ahead must differ by more than this (the sine of their angle).
+const MIN_SINE: f64 = 1e-6;
+
+/// A picture's width and height.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size {
+    /// Pixels a row.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+}
+
+/// How what is seen becomes flat.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lens {
+    /// As an eye sees: so many degrees from the picture's lower to its upper edge.
+    Perspective {
+        /// More than 0, at most 170.
+        fov_deg: f64,
+    },
+    /// Without perspective: so many world units from the left to the right edge.
+    Orthographic {
+        /// More than 0.
+        width: f64,
+    },
+}
+
+/// From which side a default view looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// From the front, above and a little to the right.
+    Corner,
+    /// Along the horizontal axis that comes towards the viewer, seen from where up is up.
+    Front,
+    /// The other way.
+    Back,
+    /// From the left.
+    Left,
+    /// From the right.
+    Right,
+    /// From above.
+    Top,
+    /// From below.
+    Bottom,
+}
+
+/// Where a camera stands and looks, in world units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Where it stands.
+    pub eye: [f64; 3],
+    /// What it looks at: the middle of the picture.
+    pub target: [f64; 3],
+    /// What is up in the picture, of any length.
+    pub up: [f64; 3],
+    /// How it projects.
+    pub lens: Lens,
+}
+
+/// A camera that works: all in grid steps.
+#[derive(Debug, Clone, Copy)]
+pub struct Camera {
+    eye: Vector,
+    right: Vector,
+    down: Vector,
+    ahead: Vector,
+    /// Pixels a unit of slope; orthographic: pixels a grid step.
+    focal_px: f64,
+    is_perspective: bool,
+    size: Size,
+    /// The frame's origin and step, to bring world units here.
+    origin: Vector,
+    unit: f64,
+}
+
+/// A place as a camera sees it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Seen {
+    /// Grid steps to the right, down and ahead of the eye.
+    pub(crate) place: Vector,
+    /// Pixels from the middle of the picture, right and down.
+    pub(crate) offset_px: [f64; 2],
+    /// The ray from the eye through the place; its third component is 1.
+    pub(crate) ray: Vector,
+}
+
+impl Camera {
+    /// Checks a view and prepares it.
+    ///
+    /// # Errors
+    /// Where it is no view: see [`RenderError`].
+    pub fn new(view: &View, size: Size, frame: &Frame) -> Result<Camera, RenderError> {
+        let sides = 1..=MAX_SIDE_PX;
+        if !sides.contains(&size.width_px) || !sides.contains(&size.height_px) {
+            return Err(RenderError::Size(size.width_px, size.height_px));
+        }
+        // The lens first: from one that is none, a default view has no finite places.
+        let (origin, unit) = grid_of(frame);
+        let (is_perspective, focal_px) = match view.lens {
+            Lens::Perspective { fov_deg } => {
+                if !(fov_deg > 0.0 && fov_deg <= 170.0) {
+                    return Err(RenderError::Fov(fov_deg));
+                }
+                (true, f64::from(size.height_px) / 2.0 / (fov_deg.to_radians() / 2.0).tan())
+            }
+            Lens::Orthographic { width } => {
+                let focal_px = f64::from(size.width_px) / (width / unit);
+                if !(width > 0.0 && focal_px.is_normal()) {
+                    return Err(RenderError::Width(width));
+                }
+                (false, focal_px)
+            }
+        };
+        let numbers = [view.eye, view.target, view.up];
+        if !numbers.iter().flatten().all(|v| v.is_finite()) {
+            return Err(RenderError::NotFinite);
+        }
+        let ahead = direction(sub(view.target, view.eye)).ok_or(RenderError::NoDirection)?;
+        let up = direction(view.up).ok_or(RenderError::NoUp)?;
+        let across = cross(ahead, up);
+        if dot(across, across) < MIN_SINE * MIN_SINE {
+            return Err(RenderError::NoUp);
+        }
+        let right = direction(across).ok_or(RenderError::NoUp)?;
+        let down = cross(ahead, right);
+        let eye = sub(view.eye, origin).map(|v| v / unit);
+        Ok(Camera { eye, right, down, ahead, focal_px, is_perspective, size, origin, unit })
+    }
+
+    /// Gives the picture's size.
+    pub fn size(&self) -> Size {
+        self.size
+    }
+
+    /// Gives pixels a unit of slope (perspective) or a grid step (orthographic).
+    pub(crate) fn focal_px(&self) -> f64 {
+        self.focal_px
+    }
+
+    pub(crate) fn is_perspective(&self) -> bool {
+        self.is_perspective
+    }
+
+    /// Turns a direction into right, down, ahead.
+    pub(crate) fn turn(&self, v: Vector) -> Vector {
+        [dot(v, self.right), dot(v, self.down), dot(v, self.ahead)]
+    }
+
+    /// Finds where a place of the grid is in the picture; none where it is not before the eye.
+    pub(crate) fn see(&self, g: Vector) -> Option<Seen> {
+        let place = self.turn(sub(g, self.eye));
+        if place[2] <= 0.0 {
+            return None;
+        }
+        let ray = match self.is_perspective {
+            true => [place[0] / place[2], place[1] / place[2], 1.0],
+            false => [0.0, 0.0, 1.0],
+        };
+        let on_plane = if self.is_perspective { ray } else { place };
+        let offset_px = [on_plane[0] * self.focal_px, on_plane[1] * self.focal_px];
+        Some(Seen { place, offset_px, ray })
+    }
+
+    /// Brings a place from right, down, ahead to the picture, as [`Camera::see`] does.
+    pub(crate) fn flat(&self, place: Vector) -> [f64; 2] {
+        let per_depth = if self.is_perspective { 1.0 / place[2] } else { 1.0 };
+        [place[0] * per_depth * self.focal_px, place[1] * per_depth * self.focal_px]
+    }
+
+    /// Brings a place of the world onto the grid.
+    pub(crate) fn grid_of_world(&self, x: [f64; 3]) -> Vector {
+        sub(x, self.origin).map(|v| v / self.unit)
+    }
+}
+
+/// Gives the world place of grid step 0 and the length of a step; 1 where the scan is one point.
+fn grid_of(frame: &Frame) -> (Vector, f64) {
+    let unit = if frame.unit() > 0.0 { frame.unit() } else { 1.0 };
+    (frame.world_of_real([0.0; 3]), unit)
+}
+
+impl View {
+    /// Looks at a box (least and greatest corner in grid steps) from a side, so that it fits the
+    /// picture. An orthographic lens keeps its width if that is more than 0, else gets one that
+    /// fits.
+    ///
+    /// # Errors
+    /// Where `up` is no direction.
+    pub fn of_box(
+        around: [[f64; 3]; 2],
+        side: Side,
+        up: [f64; 3],
+        lens: Lens,
+        size: Size,
+        frame: &Frame,
+    ) -> Result<View, RenderError> {
+        let (origin, unit) = grid_of(frame);
+        let [min, max] = around.map(|g| add_scaled(origin, g, unit));
+        let middle = [0, 1, 2].map(|i| (min[i] + max[i]) / 2.0);
+        let (back, picture_up) = axes(side, up)?;
+        let right = direction(cross(picture_up, back)).ok_or(RenderError::NoUp)?;
+        let upward = cross(back, right);
+        let half_sides = [f64::from(size.width_px), f64::from(size.height_px)].map(|v| v / 2.0);
+        let free = 1.0 - 2.0 * MARGIN;
+        let (mut distance, mut needed) = (unit, [unit; 2]);
+        for corner in 0..8 {
+            let x = [0, 1, 2].map(|i| if corner >> i & 1 == 0 { min[i] } else { max[i] });
+            let off = sub(x, middle);
+            let (across, height, near) =
+                (dot(off, right).abs(), dot(off, upward).abs(), dot(off, back));
+            needed = [needed[0].max(across), needed[1].max(height)];
+            distance = match lens {
+                Lens::Perspective { fov_deg } => {
+                    let slope = (fov_deg.to_radians() / 2.0).tan() * free;
+                    let slopes = [slope * half_sides[0] / half_sides[1], slope];
+                    distance.max(near + across / slopes[0]).max(near + height / slopes[1])
+                }
+                Lens::Orthographic { .. } => distance.max(2.0 * near.abs()),
+            };
+        }
+        let lens = match lens {
+            Lens::Orthographic { width } if width <= 0.0 => Lens::Orthographic {
+                width: 2.0 * needed[0].max(needed[1] * half_sides[0] / half_sides[1]) / free,
+            },
+            lens => lens,
+        };
+        // Where a default picture has no depth at all, any distance will do.
+        let distance = distance + unit;
+        Ok(View { eye: add_scaled(middle, back, distance), target: middle, up: picture_up, lens })
+    }
+}
+
+/// Gives the direction from the middle to the eye, and what is up in the picture.
+fn axes(side: Side, up: [f64; 3]) -> Result<(Vector, Vector), RenderError> {
+    let up = direction(up).ok_or(RenderError::NoUp)?;
+    // Surveyors have z up and y away from them; modellers y up and z towards them.
+    let front = if up[2].abs() > 0.7 { [0.0, -1.0, 0.0] } else { [0.0, 0.0, 1.0] };
+    let right = direction(cross(up, front)).ok_or(RenderError::NoUp)?;
+    let front = cross(right, up);
+    let minus = |v: Vector| v.map(|v| -v);
+    let corner = add_scaled(add_scaled(front, right, 0.45), up, 0.55);
+    Ok(match side {
+        Side::Corner => (direction(corner).ok_or(RenderError::NoUp)?, up),
+        Side::Front => (front, up),
+        Side::Back => (minus(front), up),
+        Side::Left => (minus(right), up),
+        Side::Right => (right, up),
+        Side::Top => (up, minus(front)),
+        Side::Bottom => (minus(up), front),
+    })
+}

@@ -1,0 +1,33 @@
+//! Pictures of scans: discs in, a PNG out.
+//!
+//! Every surfel of a map ([`MapSplats`]) or point of an octree ([`OctreeSplats`]) is a splat, a
+//! flat piece of surface: a patch or a disc. [`render`] draws them as seen by a [`Camera`] in two
+//! passes over the [`Source`]: the first finds the nearest surface at every pixel, the second
+//! blends the splats that lie on it, so that surfaces have no speckle and edges are soft.
+//! [`Picture`] takes marks and legends and writes the PNG. The source is read in blocks, so what
+//! is held is the picture's buffers and a block, whatever the size of the scan; the bytes are the
+//! same for any number of threads. The room opens no file, decides no visibility and prints
+//! nothing.
+//!
+//! Start reading at [`render`], then `disc.rs`: how a splat covers pixels.
+
+mod camera;
+mod canvas;
+mod color;
+mod disc;
+mod error;
+mod font;
+mod map;
+mod octree;
+mod picture;
+mod source;
+mod vector;
+
+pub use camera::{Camera, Lens, Side, Size, View};
+pub use canvas::{Style, render};
+pub use color::{BINS, Rgb, VIOLET, gray, ramp, srgb};
+pub use error::RenderError;
+pub use map::MapSplats;
+pub use octree::OctreeSplats;
+pub use picture::Picture;
+pub use source::{ColorBy, Shape, Source, Splat, Values, bounds};

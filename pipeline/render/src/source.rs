@@ -1,0 +1,125 @@
+//! What is drawn: discs, read a range at a time.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::color::Rgb;
+use crate::error::RenderError;
+
+/// Splats read at once by a thread.
+pub(crate) const CHUNK_SPLATS: u64 = 4096;
+
+/// A piece of a surface, in grid steps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Splat {
+    /// Its middle.
+    pub centre: [f32; 3],
+    /// Of length 1, or zero: then it faces the camera.
+    pub normal: [f32; 3],
+    /// How far it reaches from its middle.
+    pub shape: Shape,
+    /// Whether both faces count.
+    pub two_sided: bool,
+    /// In linear light, 0…1.
+    pub color: Rgb,
+}
+
+/// What a splat cuts out of its plane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// A disc of this radius, more than 0.
+    Round(f32),
+    /// What of its plane is so far from its middle at the most along x, y and z, each more than 0.
+    /// A disc where there is no normal.
+    Box([f32; 3]),
+}
+
+/// Splats that can be read in any order, from many threads at once.
+pub trait Source: Sync {
+    /// Counts them.
+    fn n_splats(&self) -> u64;
+
+    /// Reads a range of them, in order, to the end of `out`.
+    ///
+    /// # Errors
+    /// Where what they are read from is damaged.
+    fn read(&self, range: Range<u64>, out: &mut Vec<Splat>) -> Result<(), RenderError>;
+}
+
+/// What decides a splat's colour.
+#[derive(Debug, Clone)]
+pub enum ColorBy {
+    /// The scan's colour, grey where there is none.
+    Rgb,
+    /// The normal: x, y, z as red, green, blue.
+    Normal,
+    /// The bin, a colour each.
+    Bin,
+    /// A number each surfel.
+    Values(Values),
+}
+
+/// A number each surfel, and the ends of the colour ramp.
+#[derive(Debug, Clone)]
+pub struct Values {
+    /// By surfel id; NaN where there is none.
+    pub of: Vec<f32>,
+    /// The dark end.
+    pub min: f32,
+    /// The bright end.
+    pub max: f32,
+}
+
+impl Values {
+    /// Takes numbers with a ramp from the least to the greatest of them.
+    pub fn new(of: Vec<f32>) -> Values {
+        let finite = || of.iter().copied().filter(|v| v.is_finite());
+        let (min, max) = (finite().reduce(f32::min), finite().reduce(f32::max));
+        Values { min: min.unwrap_or(0.0), max: max.unwrap_or(0.0), of }
+    }
+
+    /// Gives where on the ramp a surfel's number is, 0…1; none where it has no number.
+    pub(crate) fn share(&self, surfel: usize) -> Option<f32> {
+        let value = self.of.get(surfel).copied().filter(|v| v.is_finite())?;
+        let width = self.max - self.min;
+        Some(if width > 0.0 { ((value - self.min) / width).clamp(0.0, 1.0) } else { 0.5 })
+    }
+}
+
+/// Cuts `range` into what a thread reads at once.
+pub(crate) fn chunks(range: Range<u64>) -> Vec<Range<u64>> {
+    let starts = range.clone().step_by(CHUNK_SPLATS as usize);
+    starts.map(|at| at..range.end.min(at + CHUNK_SPLATS)).collect()
+}
+
+/// Gives the least and the greatest corner of the middles of all splats, in grid steps; none
+/// where there are no splats.
+///
+/// # Errors
+/// Those of reading.
+pub fn bounds(source: &dyn Source) -> Result<Option<[[f64; 3]; 2]>, RenderError> {
+    let of_chunk = |range: Range<u64>| {
+        let mut splats = Vec::new();
+        source.read(range, &mut splats)?;
+        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        for splat in &splats {
+            for i in 0..3 {
+                min[i] = min[i].min(splat.centre[i]);
+                max[i] = max[i].max(splat.centre[i]);
+            }
+        }
+        Ok([min, max])
+    };
+    let join = |a: [[f32; 3]; 2], b: [[f32; 3]; 2]| {
+        [[0, 1, 2].map(|i| a[0][i].min(b[0][i])), [0, 1, 2].map(|i| a[1][i].max(b[1][i]))]
+    };
+    let found: Option<Result<_, RenderError>> = chunks(0..source.n_splats())
+        .into_par_iter()
+        .map(of_chunk)
+        .reduce_with(|a, b| Ok(join(a?, b?)));
+    let found = found.transpose()?;
+    // A source may have splats and draw none of them.
+    let found = found.filter(|[min, max]| min[0] <= max[0]);
+    Ok(found.map(|corners| corners.map(|corner| corner.map(f64::from))))
+}
