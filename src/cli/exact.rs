@@ -13,7 +13,7 @@ use super::map_file;
 /// How near occluders have to be, and how many.
 #[derive(Debug, clap::Args)]
 pub(super) struct Nearness {
-    /// With --exact: how near the line a point has to be to hide something, in the scan's units
+    /// With --exact: how near the line points are that hide something
     /// [default: twice the usual half spacing of the points]
     #[arg(long, value_name = "DIST", requires = "exact", verbatim_doc_comment)]
     delta: Option<f64>,

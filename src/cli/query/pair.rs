@@ -58,8 +58,9 @@ pub(super) struct Args {
     /// Ask the points of the octree instead of surfels
     #[arg(long)]
     exact: bool,
-    /// With --exact: the octree the map was built from [default: the map's name with .octree]
-    #[arg(long, value_name = "NAME.octree", requires = "exact")]
+    /// With --exact: the octree the map was built from
+    /// [default: the map's name with .octree]
+    #[arg(long, value_name = "NAME.octree", requires = "exact", verbatim_doc_comment)]
     octree: Option<PathBuf>,
     #[command(flatten)]
     nearness: Nearness,
