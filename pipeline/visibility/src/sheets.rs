@@ -99,8 +99,8 @@ impl Sheets {
     /// Bytes for each inner node, which are not among those of the sheets.
     pub(crate) const A_FAMILY_BYTES: usize = size_of::<u32>();
 
-    /// Finds the largest sheets of a tree where they pay: where three quarters of the surfels are in
-    /// sheets. In a room all but the edges are; among trees and on statues asking them takes longer
+    /// Finds the largest sheets of a tree where they pay: where three quarters of the surfels are
+    /// in sheets. In a room all but the edges are; among trees and on statues asking them takes longer
     /// than it saves. Families are numbered as inner nodes are. Where `memory_bytes` do not hold
     /// all sheets, those of few surfels are left out.
     pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
