@@ -100,9 +100,9 @@ impl Sheets {
     pub(crate) const A_FAMILY_BYTES: usize = size_of::<u32>();
 
     /// Finds the largest sheets of a tree where they pay: where three quarters of the surfels are
-    /// in sheets. In a room all but the edges are; among trees and on statues asking them takes longer
-    /// than it saves. Families are numbered as inner nodes are. Where `memory_bytes` do not hold
-    /// all sheets, those of few surfels are left out.
+    /// in sheets. In a room all but the edges are; among trees and on statues asking them takes
+    /// longer than it saves. Families are numbered as inner nodes are. Where `memory_bytes` do not
+    /// hold all sheets, those of few surfels are left out.
     pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
         let (sheets, n_in_sheets) = Sheets::all(tree, discs, bounds, memory_bytes);
         if 4 * n_in_sheets >= 3 * discs.len() { sheets } else { Sheets::default() }
