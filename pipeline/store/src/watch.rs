@@ -2,8 +2,8 @@
 
 use crate::StoreError;
 
-/// Hears how far a stage is and may ask it to stop. Stages call it from any thread and go on when it
-/// returns: it must be quick, and wait for no other thread.
+/// Hears how far a stage is and may ask it to stop. Stages call it from any thread and go on when
+/// it returns: it must be quick, and wait for no other thread.
 pub trait Watch: Sync {
     /// A stage begins: its name, how many units it has in all (if known) and what a unit is.
     fn stage(&self, name: &'static str, total: Option<u64>, unit: &'static str);
