@@ -57,6 +57,45 @@ fn what_a_place_sees_is_what_pairs_say() {
 }
 
 #[test]
+fn the_points_answer_beside_the_surfels() {
+    let bench = Bench::new();
+    bench.line("scene furnished --points 20k -o a.ply --seed 3").ok();
+    bench.line("ingest a.ply").ok();
+    bench.line("build a.octree").ok();
+    bench.line("scene empty --points 3k -o b.ply").ok();
+    bench.line("ingest b.ply").ok();
+    // Two walls of the room, with nothing between and with the box between.
+    let mut n_exit = [0; 2];
+    let mut rows = "x1,y1,z1,x2,y2,z2\n".to_owned();
+    for i in 0..40 {
+        let (u, v) = (0.3 + 0.12 * f64::from(i), 0.2 + 0.1 * f64::from(i % 7));
+        let (a, b) = (format!("{u},0,{v}"), format!("{},5.5,{v}", 5.2 - u / 2.0));
+        let run = bench.line(&format!("query a.vmap pair {a} {b} --exact --snap 1"));
+        let said = json(&bench.line(&format!("query a.vmap pair {a} {b} --exact --snap 1 --json")));
+        assert_eq!(said["exact"]["visible"], run.code == 0, "{said} {run:?}");
+        assert!(run.stdout.contains("\n  leaves    say ") && run.code < 2, "{run:?}");
+        n_exit[run.code as usize] += 1;
+        rows += &format!("{a},{b}\n");
+    }
+    assert!(n_exit.iter().all(|&n| n > 2), "{n_exit:?} say yes and no");
+    bench.write("rows.csv", rows);
+    let table = bench.line("query a.vmap pairs rows.csv --exact --snap 1 --octree a.octree").ok();
+    let n_yes = cells(&table.stdout, 5).iter().filter(|v| *v == "1").count();
+    assert_eq!(n_yes, n_exit[0], "{}", table.stdout);
+    let differing = |l: &&str| l.split(',').next() != l.split(',').nth(5);
+    let n = table.stdout.lines().skip(1).filter(differing).count();
+    assert!(table.stderr.contains(&format!("disagree in {n} of 40 pairs")), "{}", table.stderr);
+    // With so many witnesses asked for nothing hides anything.
+    let line = "query a.vmap pairs rows.csv --exact --snap 1 --delta 0.01 --k 1000000";
+    let table = bench.line(line).ok().stdout;
+    assert_eq!(cells(&table, 5).iter().filter(|v| *v == "1").count(), 40, "{table}");
+    let of_other = "query a.vmap pair 1,0,1 1,5.5,1 --snap 1 --exact --octree b.octree";
+    bench.line(of_other).fails(65, &["a.vmap", "not built from", "b.octree"]);
+    bench.line("query a.vmap pair 1,0,1 1,5.5,1 --delta 1").fails(2, &["--exact"]);
+    bench.line("query a.vmap pair 1,0,1 1,5.5,1 --exact --delta=-1").fails(2, &["-1"]);
+}
+
+#[test]
 fn the_crowd_of_a_pair() {
     let bench = room();
     let run = bench.line("query room.vmap pair -0.5,-0.5,-1 0.5,0.5,1").exits(0);
