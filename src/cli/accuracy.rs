@@ -72,8 +72,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let watch = &context.progress;
     let (path, bytes) = map_file(&args.map)?;
     let map = Map::open(&bytes).map_err(|e| named(&path, e.into()))?;
-    let octree = args.octree.as_deref().map(|octree| Points::open(Some(octree), &path));
-    let octree = octree.transpose()?;
+    let octree = args.octree.as_deref().map(Points::open).transpose()?;
     let view = octree.as_ref().map(Points::view).transpose()?;
     watch.stage("truth", None, "triangles");
     let truth = Scene::of_mesh(&scenes::read_mesh(&args.truth)?, args.seed);

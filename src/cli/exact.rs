@@ -35,6 +35,28 @@ impl Nearness {
     }
 }
 
+/// Whether points are asked, and which.
+#[derive(Debug, clap::Args)]
+pub(super) struct PointsArgs {
+    /// Ask the points of the octree beside the surfels of the map
+    #[arg(long)]
+    pub(super) exact: bool,
+    /// With --exact: the octree the map was built from
+    /// [default: the map's name with .octree]
+    #[arg(long, value_name = "NAME.octree", requires = "exact", verbatim_doc_comment)]
+    octree: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) nearness: Nearness,
+}
+
+impl PointsArgs {
+    /// Maps the octree that was named, or that whose name is the map's.
+    pub(super) fn open(&self, map: &Path) -> Result<Points, Error> {
+        let beside = map.with_extension("octree");
+        Points::open(self.octree.as_deref().unwrap_or(&beside))
+    }
+}
+
 /// The points of an octree that can be asked beside a map.
 #[derive(Debug)]
 pub(super) struct Points {
@@ -43,10 +65,9 @@ pub(super) struct Points {
 }
 
 impl Points {
-    /// Maps an octree, or the one whose name is the map's.
-    pub(super) fn open(octree: Option<&Path>, map: &Path) -> Result<Points, Error> {
-        let beside = map.with_extension("octree");
-        let (path, bytes) = map_file(octree.unwrap_or(&beside))?;
+    /// Maps an octree.
+    pub(super) fn open(octree: &Path) -> Result<Points, Error> {
+        let (path, bytes) = map_file(octree)?;
         Ok(Points { path, bytes })
     }
 

@@ -1,7 +1,6 @@
 //! `pvmap query MAP pair`: do two places see each other?
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use pvmap::Error;
@@ -10,7 +9,7 @@ use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
 use super::{Asked, Outcome, commas, parse_point, place, print_json};
-use crate::cli::exact::{Nearness, Points};
+use crate::cli::exact::PointsArgs;
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
 #[derive(Debug, clap::Args)]
@@ -55,15 +54,8 @@ pub(super) struct Args {
     /// [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
-    /// Ask the points of the octree instead of surfels
-    #[arg(long)]
-    exact: bool,
-    /// With --exact: the octree the map was built from
-    /// [default: the map's name with .octree]
-    #[arg(long, value_name = "NAME.octree", requires = "exact", verbatim_doc_comment)]
-    octree: Option<PathBuf>,
     #[command(flatten)]
-    nearness: Nearness,
+    points: PointsArgs,
     /// Answer as one JSON object
     #[arg(long)]
     json: bool,
@@ -74,7 +66,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let a = asked.locate(&places[0], args.snap)?;
     let b = asked.locate(&places[1], args.snap)?;
     let answer = asked.named(asked.map.pair(&a, &b))?;
-    let exact = if args.exact { Some(ask_points(asked, args, &places)?) } else { None };
+    let exact = if args.points.exact { Some(ask_points(asked, args, &places)?) } else { None };
     let visible = exact.as_ref().map_or(answer.visible, |verdict| verdict.visible);
     let cells = match &answer.link {
         Some(link) => Some([
@@ -127,10 +119,10 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
 
 /// Asks the points of the octree. [V-7]
 fn ask_points(asked: &Asked<'_, '_>, args: &Args, places: &[Place; 2]) -> Result<Verdict, Error> {
-    let points = Points::open(args.octree.as_deref(), asked.path)?;
+    let points = args.points.open(asked.path)?;
     let view = points.view()?;
     let ask = || {
-        let exact = Exact::new(&view, args.nearness.options(asked.map)?);
+        let exact = Exact::new(&view, args.points.nearness.options(asked.map)?);
         exact.require_map(asked.map)?;
         exact.pair(&exact.nearest(&places[0])?.point, &exact.nearest(&places[1])?.point)
     };

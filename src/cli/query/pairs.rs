@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
 use super::{Asked, Outcome, pair, place, snap_of};
-use crate::cli::exact::{Nearness, Points};
+use crate::cli::exact::{Points, PointsArgs};
 
 /// Answer a table of pairs, a row an input row, in order
 #[derive(Debug, clap::Args)]
@@ -46,15 +46,8 @@ pub(super) struct Args {
     /// [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", verbatim_doc_comment)]
     snap: Option<f64>,
-    /// Ask the points of the octree, too
-    #[arg(long)]
-    exact: bool,
-    /// With --exact: the octree the map was built from
-    /// [default: the map's name with .octree]
-    #[arg(long, value_name = "NAME.octree", requires = "exact", verbatim_doc_comment)]
-    octree: Option<PathBuf>,
     #[command(flatten)]
-    nearness: Nearness,
+    points: PointsArgs,
     /// Answer as a JSON object a line
     #[arg(long)]
     json: bool,
@@ -70,12 +63,13 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         ])
     })?;
     let pairs = Pairs { asked, columns, snap: snap_of(args.snap) };
-    if !args.exact {
+    if !args.points.exact {
         return batch::answer(rows, &pairs, args.json);
     }
-    let points = Points::open(args.octree.as_deref(), asked.path)?;
+    let points = args.points.open(asked.path)?;
     let view = points.view()?;
-    let options = args.nearness.options(asked.map).map_err(|e| points.named(asked.path, e))?;
+    let options =
+        args.points.nearness.options(asked.map).map_err(|e| points.named(asked.path, e))?;
     let exact = Exact::new(&view, options);
     exact.require_map(asked.map).map_err(|e| points.named(asked.path, e))?;
     let both = ExactPairs { pairs, points: &points, exact, found: Mutex::default() };
