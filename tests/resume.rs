@@ -229,6 +229,9 @@ fn f08_stopped_by_a_signal_it_keeps_what_is_done() {
     let make_old = "build a.octree --max-level 1 --leaf-capacity 10";
     bench.line(make_old).ok();
     let old = bench.read("a.vmap");
+    let begun = Instant::now();
+    bench.line("build a.octree -o whole.vmap").ok();
+    let whole = begun.elapsed();
     let mut random = fastrand::Rng::with_seed(8);
     let (mut n_kept, mut before) = (0, 0);
     let n_rounds = rounds(5, 40, 200);
@@ -239,7 +242,9 @@ fn f08_stopped_by_a_signal_it_keeps_what_is_done() {
         }
         let (signal, code) = [("INT", 130), ("TERM", 143), ("HUP", 129)][i as usize % 3];
         let child = start(&bench, "build a.octree --progress plain");
-        std::thread::sleep(Duration::from_millis(random.u64(100..1500)));
+        // Before that it may not yet listen.
+        let least = Duration::from_millis(100);
+        std::thread::sleep(least + whole.saturating_sub(least).mul_f64(random.f64()));
         let asked = Instant::now();
         send(&child, signal);
         let run = Run::watch(child, asked);
