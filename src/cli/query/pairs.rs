@@ -75,7 +75,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let both = ExactPairs { pairs, points: &points, exact, found: Mutex::default() };
     let ended = batch::answer(rows, &both, args.json)?;
     let found = both.found.into_inner().unwrap_or_else(PoisonError::into_inner);
-    eprintln!(
+    // Where stderr is closed the table has to do.
+    let _ = writeln!(
+        std::io::stderr().lock(),
         "pvmap: surfels and points disagree in {} of {} pairs ({:.2} %): {} only the points see, \
          {} only the surfels",
         found.n_exact_only + found.n_leaf_only,
