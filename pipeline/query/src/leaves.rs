@@ -1,8 +1,8 @@
 //! The cells of all leaves in memory: which of them hold a place.
 //!
 //! The leaves of a bin, and those of a tree without bins, stand in Morton order. So the leaf that
-//! holds a place is found by halving, once a bin, where a walk down the tree looks at hundreds of
-//! nodes.
+//! holds a place is found by halving what begins in the same coarse cell, once a bin, where a walk
+//! down the tree looks at hundreds of nodes.
 
 use std::ops::Range;
 
@@ -19,9 +19,41 @@ pub(crate) struct Leaves {
     first_codes: Vec<u64>,
     levels: Vec<u8>,
     nodes: Vec<u32>,
-    /// The leaves of each bin.
-    bins: Vec<Range<usize>>,
+    bins: Vec<Bin>,
     deepest: u8,
+}
+
+/// The leaves of a bin.
+#[derive(Debug)]
+struct Bin {
+    leaves: Range<usize>,
+    /// The first leaf that begins in each coarse cell or later; one more than there are cells.
+    coarse: Vec<u32>,
+    /// A code without so many bits is its coarse cell.
+    shift: u32,
+}
+
+impl Bin {
+    fn new(leaves: Range<usize>, first_codes: &[u64]) -> Bin {
+        // Some four leaves begin in a cell, in those that are not empty more.
+        let bits = (leaves.len().max(1).ilog2() + 1).saturating_sub(3);
+        let shift = 63 - bits;
+        let mut coarse = Vec::with_capacity((1 << bits) + 1);
+        for leaf in leaves.clone() {
+            let cell = (first_codes[leaf] >> shift) as usize;
+            coarse.resize(coarse.len().max(cell + 1), leaf as u32);
+        }
+        coarse.resize((1 << bits) + 1, leaves.end as u32);
+        Bin { leaves, coarse, shift }
+    }
+
+    /// Gives the last leaf that begins at a code or before.
+    fn last_from(&self, code: u64, first_codes: &[u64]) -> Option<usize> {
+        let cell = (code >> self.shift) as usize;
+        let [from, to] = [self.coarse[cell] as usize, self.coarse[cell + 1] as usize];
+        let end = from + first_codes[from..to].partition_point(|&first| first <= code);
+        end.checked_sub(1).filter(|&last| last >= self.leaves.start)
+    }
 }
 
 impl Leaves {
@@ -39,18 +71,23 @@ impl Leaves {
             return Err(map.broken_node(id, "is not the leaf of its surfel"));
         }
         let span = |first: u32, end: u32| first as usize..end as usize;
-        let bins = match map.root()? {
+        let bins: Vec<Range<usize>> = match map.root()? {
             Some(root) if root.split == Split::Bins => map
                 .children(0, root)
                 .map(|child| child.map(|(_, bin)| span(bin.first_surfel, bin.end_surfel)))
                 .collect::<Result<_, _>>()?,
             root => root.map(|root| span(root.first_surfel, root.end_surfel)).into_iter().collect(),
         };
+        let first_codes: Vec<u64> = leaves.iter().map(|(_, leaf)| leaf.first_code).collect();
+        let in_order = |bin: &Range<usize>| first_codes[bin.clone()].is_sorted();
+        if let Some(bin) = bins.iter().find(|bin| !in_order(bin)) {
+            return Err(map.broken_node(leaves[bin.start].0, "stands before an earlier cell"));
+        }
         Ok(Leaves {
-            first_codes: leaves.iter().map(|(_, leaf)| leaf.first_code).collect(),
+            bins: bins.into_iter().map(|bin| Bin::new(bin, &first_codes)).collect(),
+            first_codes,
             levels: leaves.iter().map(|(_, leaf)| leaf.level).collect(),
             nodes: leaves.iter().map(|&(id, _)| id).collect(),
-            bins,
             deepest: leaves.iter().map(|(_, leaf)| leaf.level).max().unwrap_or(0),
         })
     }
@@ -61,30 +98,31 @@ impl Leaves {
         self.nodes.get(surfel as usize).copied()
     }
 
-    /// Walks the leaves whose closed cells hold a place: their surfels and nodes. Some may come
-    /// twice.
-    pub(crate) fn holding(&self, g: GridPoint) -> impl Iterator<Item = (u32, u32)> + '_ {
+    /// Calls `each` with surfel and node of every leaf whose closed cell holds a place, for some
+    /// more than once.
+    pub(crate) fn holding<E>(
+        &self,
+        g: GridPoint,
+        mut each: impl FnMut(u32, u32) -> Result<(), E>,
+    ) -> Result<(), E> {
         // A place on the lowest faces of a cell is on the highest of the cell before, too.
         let within = (1u32 << (22 - self.deepest)) - 1;
         let faces = (0..3).filter(|&i| g[i] > 0 && g[i] & within == 0);
-        let on_faces = faces.fold(0usize, |on, i| on | 1 << i);
-        let beside = (0..8usize).filter(move |cell| cell & !on_faces == 0);
-        let codes = beside.map(move |cell| {
-            morton::encode([0, 1, 2].map(|i| g[i] - u32::from(cell >> i & 1 == 1)))
-        });
-        codes.flat_map(move |code| self.bins.iter().flat_map(move |bin| self.of_bin(bin, code)))
-    }
-
-    /// Walks the leaves of a bin whose cells hold a code: one, or its quadrants.
-    fn of_bin(&self, bin: &Range<usize>, code: u64) -> impl Iterator<Item = (u32, u32)> + '_ {
-        let first_codes = &self.first_codes[bin.clone()];
-        let end = bin.start + first_codes.partition_point(|&first| first <= code);
-        let last = end.checked_sub(1).filter(|&last| last >= bin.start);
-        let cell = last.map(|last| (self.first_codes[last], self.levels[last]));
-        let holds = |&(first, level): &(u64, u8)| morton::cell_range(first, level).contains(&code);
-        let cell = cell.filter(holds);
-        let ids = (bin.start..end).rev();
-        let same = move |&i: &usize| cell == Some((self.first_codes[i], self.levels[i]));
-        ids.take_while(same).map(|i| (i as u32, self.nodes[i]))
+        let on_faces = faces.fold(0u32, |on, i| on | 1 << i);
+        for beside in (0..8).filter(|beside| beside & !on_faces == 0) {
+            let code = morton::encode([0, 1, 2].map(|i| g[i] - (beside >> i & 1)));
+            for last in self.bins.iter().filter_map(|bin| bin.last_from(code, &self.first_codes)) {
+                let cell = (self.first_codes[last], self.levels[last]);
+                if !morton::cell_range(cell.0, cell.1).contains(&code) {
+                    continue;
+                }
+                // The quadrants of a cell stand side by side.
+                let same = |&i: &usize| cell == (self.first_codes[i], self.levels[i]);
+                for i in (0..=last).rev().take_while(same) {
+                    each(i as u32, self.nodes[i])?;
+                }
+            }
+        }
+        Ok(())
     }
 }

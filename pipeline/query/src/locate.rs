@@ -159,10 +159,11 @@ impl Map<'_> {
             return self.best(target, |node| holds(&node.cell(), target.g).then_some(0));
         };
         let mut best: Option<Found> = None;
-        for (surfel, node) in kept.leaves.holding(target.g) {
+        kept.leaves.holding(target.g, |surfel, node| {
             let found = self.fit(target, node, surfel, &self.surfel(surfel)?);
             best = best.into_iter().chain([found]).min_by_key(|found| found.fit);
-        }
+            Ok::<_, FormatError>(())
+        })?;
         Ok(best)
     }
 
