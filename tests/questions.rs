@@ -73,6 +73,9 @@ fn the_points_answer_beside_the_surfels() {
         let run = bench.line(&format!("query a.vmap pair {a} {b} --exact --snap 1"));
         let said = json(&bench.line(&format!("query a.vmap pair {a} {b} --exact --snap 1 --json")));
         assert_eq!(said["exact"]["visible"], run.code == 0, "{said} {run:?}");
+        assert_eq!(said["visible"], run.code == 0, "{said} {run:?}");
+        let leaves = if said["leaves"] == true { "yes" } else { "no" };
+        assert!(run.stdout.contains(&format!("\n  leaves    say {leaves}\n")), "{said} {run:?}");
         assert!(run.stdout.contains("\n  leaves    say ") && run.code < 2, "{run:?}");
         n_exit[run.code as usize] += 1;
         rows += &format!("{a},{b}\n");
@@ -80,7 +83,7 @@ fn the_points_answer_beside_the_surfels() {
     assert!(n_exit.iter().all(|&n| n > 2), "{n_exit:?} say yes and no");
     bench.write("rows.csv", rows);
     let table = bench.line("query a.vmap pairs rows.csv --exact --snap 1 --octree a.octree").ok();
-    let n_yes = cells(&table.stdout, 5).iter().filter(|v| *v == "1").count();
+    let n_yes = cells(&table.stdout, 0).iter().filter(|v| *v == "1").count();
     assert_eq!(n_yes, n_exit[0], "{}", table.stdout);
     let differing = |l: &&str| l.split(',').next() != l.split(',').nth(5);
     let n = table.stdout.lines().skip(1).filter(differing).count();
@@ -88,11 +91,15 @@ fn the_points_answer_beside_the_surfels() {
     // With so many witnesses asked for nothing hides anything.
     let line = "query a.vmap pairs rows.csv --exact --snap 1 --delta 0.01 --k 1000000";
     let table = bench.line(line).ok().stdout;
-    assert_eq!(cells(&table, 5).iter().filter(|v| *v == "1").count(), 40, "{table}");
+    assert_eq!(cells(&table, 0).iter().filter(|v| *v == "1").count(), 40, "{table}");
+    let rows = bench.line(&format!("{line} --json")).ok().stdout;
+    let said: Vec<Value> = rows.lines().map(|row| serde_json::from_str(row).unwrap()).collect();
+    assert!(said.iter().all(|row| row["visible"] == true && row["leaves"].is_boolean()), "{rows}");
     let of_other = "query a.vmap pair 1,0,1 1,5.5,1 --snap 1 --exact --octree b.octree";
     bench.line(of_other).fails(65, &["a.vmap", "not built from", "b.octree"]);
     bench.line("query a.vmap pair 1,0,1 1,5.5,1 --delta 1").fails(2, &["--exact"]);
     bench.line("query a.vmap pair 1,0,1 1,5.5,1 --exact --delta=-1").fails(2, &["-1"]);
+    bench.line("query a.vmap pairs rows.csv --snap -1").fails(2, &["--snap", "no distance"]);
 }
 
 #[test]
@@ -154,7 +161,10 @@ fn shadows() {
     let ask = |light: &str| bench.line(&format!("query room.vmap shadow 0.3,0.3,-1 {light}"));
     // A lamp in the air, one on the ceiling, one behind the ceiling.
     assert!(ask("--light 0,0,0.5").ok().stdout.starts_with("lit\n"));
-    assert!(ask("--light 0,0,1").ok().stdout.starts_with("lit\n"));
+    let lamp = ask("--light 0,0,1").ok().stdout;
+    assert!(lamp.starts_with("lit\n") && lamp.contains("\n  lamp      on surfel "), "{lamp}");
+    let lamp = ask("--light 0,0,1 --air").ok().stdout;
+    assert!(lamp.contains("\n  lamp      in the air\n"), "{lamp}");
     let hidden = json(&ask("--light 0,0,1.9 --json").ok());
     assert_eq!(hidden["light"], "umbra");
     assert!(hidden["blocker"].is_u64(), "{hidden}");

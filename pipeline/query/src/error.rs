@@ -77,7 +77,7 @@ pub enum QueryError {
     #[error("the direction {} is zero or not finite; give one that leads somewhere", commas(.0))]
     Direction([f64; 3]),
     /// A place is none.
-    #[error("the place {} is not finite; give three numbers", commas(.0))]
+    #[error("the place {} is not finite or too far away; give one nearer", commas(.0))]
     NoPlace([f64; 3]),
     /// The map cannot be read.
     #[error(transparent)]

@@ -55,6 +55,10 @@ struct Waiting {
     id: u32,
 }
 
+/// Farther away a float does not tell the steps of the grid from each other, nor the units of most
+/// scans.
+const FARTHEST: f64 = (1u64 << 50) as f64;
+
 impl Map<'_> {
     /// Finds the first surfel that a ray hits.
     ///
@@ -75,7 +79,9 @@ impl Map<'_> {
         direction: [f64; 3],
         from: Option<&Located>,
     ) -> Result<RayAnswer, QueryError> {
-        if !origin.iter().all(|v| v.is_finite()) {
+        let frame = &self.view().frame().frame;
+        let steps = frame.steps_of_query(origin);
+        if !origin.iter().chain(&steps).all(|v| v.abs() <= FARTHEST) {
             return Err(QueryError::NoPlace(origin));
         }
         let is_direction = direction.iter().all(|v| v.is_finite()) && direction != [0.0; 3];
@@ -86,9 +92,7 @@ impl Map<'_> {
             Some(from) => Some((from, self.leaf_of(from)?.1)),
             None => None,
         };
-        let frame = &self.view().frame().frame;
         let mut answer = RayAnswer { hit: None, n_nodes: 0, n_surfels: 0 };
-        let steps = frame.steps_of_query(origin);
         let started = GridRay::new(steps, direction).filter(|_| frame.extent() > 0.0);
         let Some((ray, moved)) = started else { return Ok(answer) };
         let Some(best) = self.first_hit(&ray, own, &mut answer)? else { return Ok(answer) };
@@ -98,7 +102,7 @@ impl Map<'_> {
         answer.hit = Some(Hit {
             surfel: best.id,
             node: best.surfel.node,
-            distance: (t + moved) * ray.step_grid() * frame.unit(),
+            distance: (t * ray.step_grid() + moved) * frame.unit(),
             place,
             normal: normal_of(&best.surfel, &ray),
         });

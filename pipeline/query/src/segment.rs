@@ -49,11 +49,11 @@ impl GridRay {
     ///
     /// The origin is rounded down as points are [D-1]; of the direction the longest component
     /// becomes 2^21, the others are rounded. A ray that begins farther than a cube's side outside
-    /// the cube begins where it comes that near; none if it never does. The second value is how
-    /// many times its direction the ray was moved on.
+    /// the cube begins where it, not rounded yet, comes that near; none if it never does. The
+    /// second value is how many grid steps it was moved on.
     pub(crate) fn new(origin: [f64; 3], direction: [f64; 3]) -> Option<(GridRay, f64)> {
         let longest = direction.iter().fold(0.0f64, |most, v| most.max(v.abs()));
-        let d = direction.map(|v| (v / longest * REACH).round());
+        let d = direction.map(|v| v / longest * REACH);
         let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
         for i in 0..3 {
             let (low, high) = (-SIDE - origin[i], 2.0 * SIDE - 1.0 - origin[i]);
@@ -73,9 +73,10 @@ impl GridRay {
             let moved = if enter > 0.0 { origin[i] + enter * d[i] } else { origin[i] };
             moved.floor().clamp(-SIDE, 2.0 * SIDE - 1.0) as i32
         });
-        let direction = d.map(|v| v as i32);
+        let moved = enter * d.map(|v| v * v).iter().sum::<f64>().sqrt();
+        let direction = d.map(|v| v.round() as i32);
         let far = [0, 1, 2].map(|i| origin[i] + 16 * direction[i]);
-        Some((GridRay { origin, direction, far }, enter))
+        Some((GridRay { origin, direction, far }, moved))
     }
 
     /// Says whether the ray meets a closed box, exactly.

@@ -68,6 +68,14 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     }
 }
 
+/// Reads a distance.
+fn parse_distance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v >= 0.0 => Ok(v),
+        _ => Err(format!("{text:?} is no distance; give a number of 0 or more")),
+    }
+}
+
 fn snap_of(snap: Option<f64>) -> Snap {
     snap.map_or(Snap::FourHalfSpacings, Snap::Within)
 }

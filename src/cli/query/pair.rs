@@ -8,7 +8,7 @@ use pvmap::query::exact::{Exact, Verdict};
 use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
-use super::{Asked, Outcome, commas, parse_point, place, print_json};
+use super::{Asked, Outcome, commas, parse_distance, parse_point, place, print_json};
 use crate::cli::exact::PointsArgs;
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
@@ -52,7 +52,8 @@ pub(super) struct Args {
     normal2: Option<[f64; 3]>,
     /// How far from a surface a place may be, in the scan's units
     /// [default: twice the spacing of the points there]
-    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
+    #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
     #[command(flatten)]
     points: PointsArgs,
@@ -81,6 +82,8 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             object["link"]["cells"] = json!(cells);
         }
         if let Some(verdict) = &exact {
+            object["leaves"] = json!(answer.visible);
+            object["visible"] = json!(visible);
             object["exact"] = json!({
                 "visible": verdict.visible,
                 "occluders": verdict.occluders.len(),

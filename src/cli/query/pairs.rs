@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
-use super::{Asked, Outcome, pair, place, snap_of};
+use super::{Asked, Outcome, pair, parse_distance, place, snap_of};
 use crate::cli::exact::{Points, PointsArgs};
 
 /// Answer a table of pairs, a row an input row, in order
@@ -26,7 +26,8 @@ Output columns:
   visible                       0 or 1, empty where there is no answer
   surfel1 surfel2               which surfels the places lie on
   distance1 distance2           how far from them, in the scan's units
-  exact                         with --exact: the same, by the points nearest to the places
+  leaves                        with --exact, where visible is what the points nearest to the
+                                places say: the same by the surfels
   error                         why there is no answer
 
 With --exact it says at the end, on stderr, how often surfels and points disagree; pvmap query
@@ -45,7 +46,8 @@ pub(super) struct Args {
     rows: PathBuf,
     /// How far from a surface a place may be, in the scan's units
     /// [default: twice the spacing of the points there]
-    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
+    #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
     #[command(flatten)]
     points: PointsArgs,
@@ -190,7 +192,7 @@ impl ExactPairs<'_, '_, '_, '_, '_> {
 impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
     type Answer = ((Located, Located, PairAnswer), bool);
 
-    const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,exact,error";
+    const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,leaves,error";
 
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>> {
         let by_leaves = self.pairs.answers(rows);
@@ -207,13 +209,16 @@ impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
     }
 
     fn write(&self, (answer, exact): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
-        self.pairs.write(answer, out)?;
-        write!(out, "{},", u8::from(*exact))
+        let by_leaves = answer.2.visible;
+        let answer = (answer.0, answer.1, PairAnswer { visible: *exact, ..answer.2 });
+        self.pairs.write(&answer, out)?;
+        write!(out, "{},", u8::from(by_leaves))
     }
 
     fn object(&self, (answer, exact): &Self::Answer) -> Value {
         let mut object = self.pairs.object(answer);
-        object["exact"] = (*exact).into();
+        object["leaves"] = object["visible"].clone();
+        object["visible"] = (*exact).into();
         object
     }
 }

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, commas, parse_point, place, print_json, snap_of};
+use super::{Asked, Outcome, commas, parse_distance, parse_point, place, print_json, snap_of};
 
 /// What does a ray hit first?
 #[derive(Debug, clap::Args)]
@@ -46,7 +46,8 @@ pub(super) struct Args {
     normal: Option<[f64; 3]>,
     /// How far from a surface the origin may be to be on it, in the scan's units
     /// [default: twice the spacing of the points there]
-    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
+    #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
     /// Rays begin in the air, however near to a surface
     #[arg(long, conflicts_with_all = ["snap", "normal"])]

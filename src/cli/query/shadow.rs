@@ -11,13 +11,14 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers_if_any};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, map_file, parse_point, place, print_json, snap_of};
+use super::{Asked, Outcome, map_file, parse_distance, parse_point, place, print_json, snap_of};
 
 /// Does a light reach a place: lit, penumbra, umbra?
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-A light is a place (a lamp on a surface if one is near, else one in the air that shines everywhere),
-the points in a box, or the points of a class. In the penumbra a share of those points is seen.
+A light is a place (a lamp on a surface if one is near, else one in the air that shines everywhere;
+--air puts it in the air in any case), the points in a box, or the points of a class. In the
+penumbra a share of those points is seen.
 
 Input columns of --rows, by name in a header row, in any order, among others that are not read:
   x y z                         the place, in the scan's units
@@ -29,6 +30,7 @@ Output columns:
   share                         the share of the light that reaches the place, 0 to 1
   surfel distance               the surfel that the place lies on, and how far from it
   blocker                       a surfel in the way of a light in the air
+  lamp                          the surfel that the light is on; empty for one in the air
   error                         why there is no answer
 
 Examples:
@@ -43,6 +45,9 @@ pub(super) struct Args {
     /// The light is at this place
     #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
     light: Option<[f64; 3]>,
+    /// The light is in the air even if a surface is near
+    #[arg(long, conflicts_with_all = ["light_box", "class"])]
+    air: bool,
     /// The light is the points of surfels centred in a box: x0,y0,z0,x1,y1,z1
     #[arg(long, value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "light")]
     #[arg(value_name = "BOX")]
@@ -58,7 +63,8 @@ pub(super) struct Args {
     normal: Option<[f64; 3]>,
     /// How far from a surface a place may be, in the scan's units
     /// [default: twice the spacing of the points there]
-    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
+    #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
     /// Answer the rows of a CSV file, or of standard input for -
     #[arg(long, value_name = "ROWS.csv", conflicts_with_all = ["place", "normal"])]
@@ -87,11 +93,12 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     };
     let Some(lamp) = lamp else { return Err(Error::Usage(NO_LIGHT.to_owned()).into()) };
     let shaded = shade(asked, args, &place(position, args.normal), &lamp);
-    let (at, found) = asked.named(shaded)?;
+    let shaded = asked.named(shaded)?;
     if args.json {
-        print_json(&as_json(&at, &found))?;
+        print_json(&as_json(&shaded))?;
         return Ok(ExitCode::SUCCESS);
     }
+    let Shaded { at, lamp: on, found } = shaded;
     let mut out = io::stdout().lock();
     writeln!(out, "{}", word(&found))?;
     writeln!(out, "  share     {} of the light", found.reaches.share())?;
@@ -99,7 +106,12 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     if let Some(blocker) = found.blocker {
         writeln!(out, "  blocker   surfel {blocker}")?;
     }
-    if found.n_surfels > 0 {
+    match (&lamp, on) {
+        (_, Some(on)) => writeln!(out, "  lamp      on surfel {}", on.surfel)?,
+        (Lamp::Place(_), None) => writeln!(out, "  lamp      in the air")?,
+        _ => {}
+    }
+    if on.is_none() && found.n_surfels > 0 {
         writeln!(out, "  light     {} points in {} surfels", found.n_points, found.n_surfels)?;
     }
     Ok(ExitCode::SUCCESS)
@@ -129,8 +141,13 @@ impl Lamp {
     }
 }
 
-/// Where a place is, and how much of the light reaches it.
-type Shaded = (Located, ShadowAnswer);
+/// How much of a light reaches a place.
+struct Shaded {
+    at: Located,
+    /// The surfel that the light is on.
+    lamp: Option<Located>,
+    found: ShadowAnswer,
+}
 
 fn shade(
     asked: &Asked<'_, '_>,
@@ -140,15 +157,20 @@ fn shade(
 ) -> Result<Shaded, QueryError> {
     let snap = snap_of(args.snap);
     let at = asked.map.locate(at, snap)?;
-    let found = match lamp {
-        Lamp::Place(position) => match asked.map.surface_at(&place(*position, None), snap)? {
-            Some(lamp) => asked.map.shadow(&at, &Light::Surfel(&lamp)),
-            None => asked.map.shadow(&at, &Light::Air(*position)),
-        },
-        Lamp::Box(low, high) => asked.map.shadow(&at, &Light::Box(*low, *high)),
-        Lamp::Points(points) => asked.map.shadow(&at, &Light::Points(points)),
+    let on = match lamp {
+        Lamp::Place(position) if !args.air => {
+            asked.map.surface_at(&place(*position, None), snap)?
+        }
+        _ => None,
     };
-    Ok((at, found?))
+    let light = match (lamp, &on) {
+        (_, Some(on)) => Light::Surfel(on),
+        (Lamp::Place(position), None) => Light::Air(*position),
+        (Lamp::Box(low, high), None) => Light::Box(*low, *high),
+        (Lamp::Points(points), None) => Light::Points(points),
+    };
+    let found = asked.map.shadow(&at, &light)?;
+    Ok(Shaded { at, lamp: on, found })
 }
 
 fn word(found: &ShadowAnswer) -> &'static str {
@@ -159,13 +181,14 @@ fn word(found: &ShadowAnswer) -> &'static str {
     }
 }
 
-fn as_json(at: &Located, found: &ShadowAnswer) -> Value {
+fn as_json(Shaded { at, lamp, found }: &Shaded) -> Value {
     json!({
         "light": word(found),
         "share": found.reaches.share(),
         "surfel": at.surfel,
         "distance": at.distance,
         "blocker": found.blocker,
+        "lamp": lamp.map(|lamp| lamp.surfel),
         "light_surfels": found.n_surfels,
         "light_points": found.n_points,
         "links": found.n_links,
@@ -192,7 +215,7 @@ struct Shadows<'q, 'm, 'a> {
 impl Batch for Shadows<'_, '_, '_> {
     type Answer = Shaded;
 
-    const HEADER: &'static str = "light,share,surfel,distance,blocker,error";
+    const HEADER: &'static str = "light,share,surfel,distance,blocker,lamp,error";
 
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Shaded, RowError>> {
         batch::each(rows, |row| {
@@ -203,16 +226,19 @@ impl Batch for Shadows<'_, '_, '_> {
         })
     }
 
-    fn write(&self, (at, found): &Shaded, out: &mut Vec<u8>) -> io::Result<()> {
+    fn write(&self, Shaded { at, lamp, found }: &Shaded, out: &mut Vec<u8>) -> io::Result<()> {
         let (word, share) = (word(found), found.reaches.share());
         write!(out, "{word},{share},{},{},", at.surfel, at.distance)?;
-        match found.blocker {
-            Some(blocker) => write!(out, "{blocker},"),
-            None => write!(out, ","),
+        for surfel in [found.blocker, lamp.map(|lamp| lamp.surfel)] {
+            match surfel {
+                Some(surfel) => write!(out, "{surfel},")?,
+                None => write!(out, ",")?,
+            }
         }
+        Ok(())
     }
 
-    fn object(&self, (at, found): &Shaded) -> Value {
-        as_json(at, found)
+    fn object(&self, shaded: &Shaded) -> Value {
+        as_json(shaded)
     }
 }

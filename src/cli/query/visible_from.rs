@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, RowError};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, parse_point, place, print_json, snap_of, stdout};
+use super::{Asked, Outcome, parse_distance, parse_point, place, print_json, snap_of, stdout};
 
 /// Which surfels does a place see? That which it lies on is among them
 #[derive(Debug, clap::Args)]
@@ -44,7 +44,8 @@ pub(super) struct Args {
     normal: Option<[f64; 3]>,
     /// How far from a surface a place may be, in the scan's units
     /// [default: twice the spacing of the points there]
-    #[arg(long, value_name = "DIST", verbatim_doc_comment)]
+    #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
+    #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
     /// Answer the rows of a CSV file, or of standard input for -
     #[arg(long, value_name = "ROWS.csv", conflicts_with_all = ["place", "normal"])]

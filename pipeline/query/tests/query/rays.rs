@@ -136,6 +136,44 @@ fn a_ray_from_afar_and_what_is_none() {
 }
 
 #[test]
+fn a_ray_from_afar_hits_what_one_from_nearby_hits() {
+    let mut rng = Rng::with_seed(46);
+    let (mut n_hit, mut n_other) = (0, 0);
+    for sound in maps(47, 12) {
+        let map = Map::open(&sound.file).unwrap();
+        for _ in 0..100 {
+            let to = frame().world_of([0; 3].map(|_| rng.u32(..1 << 22)));
+            let way = [0; 3].map(|_| rng.f64() - 0.5);
+            let length = way.iter().map(|v| v * v).sum::<f64>().sqrt();
+            // Both begin outside; nothing is out there.
+            let from = |distance: f64| {
+                let origin = [0, 1, 2].map(|i| to[i] - way[i] / length * distance);
+                map.ray(origin, way, None).unwrap().hit.map(|hit| (hit.surfel, hit.distance))
+            };
+            let side = frame().unit() * f64::from(1 << 22);
+            let (near, far) = (from(2.0 * side), from(1e4 * side));
+            n_hit += u32::from(near.is_some());
+            // Rounding moves a ray by a step of the grid: past an edge now and then.
+            let same = match (near, far) {
+                (Some(near), Some(far)) => {
+                    let moved = far.1 - near.1 - (1e4 - 2.0) * side;
+                    near.0 == far.0 && moved.abs() < 100.0 * frame().unit()
+                }
+                (near, far) => near == far,
+            };
+            n_other += u32::from(!same);
+        }
+    }
+    assert!(n_hit > 200 && n_other < 12, "{n_hit} hit, {n_other} otherwise from afar");
+    let sound = maps(47, 1).next().unwrap();
+    let map = Map::open(&sound.file).unwrap();
+    for far in [1e305, -1e17, f64::INFINITY] {
+        let found = map.ray([far, 0.5, 0.5], [-far.signum(), 0.0, 0.0], None);
+        assert!(matches!(found, Err(QueryError::NoPlace(_))), "{far}");
+    }
+}
+
+#[test]
 fn v3_a_light_in_the_air_reaches_what_nothing_hides() {
     let mut rng = Rng::with_seed(44);
     let (mut n_lit, mut n_dark) = (0, 0);
