@@ -6,7 +6,7 @@ use std::time::Instant;
 use fastrand::Rng;
 use pvmap_query::exact::Exact;
 use pvmap_query::{ErrorKind, Map, Place, Snap};
-use pvmap_scene::{Sample, Scene};
+use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
 use pvmap_vmap::octree::Placement;
 use pvmap_vmap::{FormatError, OctreeView};
@@ -18,7 +18,7 @@ use crate::Error;
 const CHUNK_PAIRS: u64 = 4096;
 /// Triangles are asked for places by number: these are more than anybody will draw, and so many
 /// that a triangle's share of them is its share of the area.
-const N_PLACES: u64 = 1 << 40;
+const N_PLACES: u64 = MOST_POINTS;
 
 /// A place that is asked about.
 #[derive(Debug, Clone, Copy)]

@@ -226,9 +226,14 @@ fn what_cannot_be_a_scene_is_told_in_one_line() {
         ("scene cornell --model needle.ply -o needle.ply", &["needle.ply", "inputs"]),
         ("scene cornell -o a.ply --truth a.ply", &["a.ply", "one file"]),
         ("scene furnished -o a.ply --truth b.ply", &["b.ply", "sphere"]),
+        ("scene empty -o a.ply --points 2000000M", &["--points", "at most 1099511627776"]),
+        ("scene cornell --points 999999M,999999M -o a.ply", &["2 numbers", "expected 1"]),
     ] {
         bench.line(line).fails(2, words);
     }
+    let eleven = " --model needle.ply".repeat(11);
+    let words = ["needle.ply", "11 statues, the room holds 10"];
+    bench.line(&format!("scene cornell{eleven} -o a.ply")).fails(2, &words);
     assert!(!bench.path("a.ply").exists());
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::scene::{Mesh, Scene, SceneError, SceneKind, Up};
+use pvmap::scene::{MOST_POINTS, Mesh, Scene, SceneError, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::{Error, Limits, Watch, is_input};
 
@@ -108,6 +108,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Scene { path: truth.clone(), source }.into());
         }
     }
+    let n_points = args.points.iter().sum();
+    if n_points > MOST_POINTS {
+        let message = format!("--points: {n_points}, a scene has at most {MOST_POINTS}");
+        return Err(Error::Usage(message).into());
+    }
     let scene = scene(args, context)?;
     let scene = match &args.points[..] {
         [_] => scene,
@@ -118,7 +123,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Usage(message).into());
         }
     };
-    let request = SceneRequest { n_points: args.points.iter().sum(), shuffle: args.shuffle };
+    let request = SceneRequest { n_points, shuffle: args.shuffle };
     scenes::write(&scene, &request, &args.output, &Limits::default(), &context.progress)?;
     if let Some(truth) = &args.truth {
         scenes::write_truth(&scene, truth)?;
@@ -145,6 +150,7 @@ fn scene(args: &Args, context: &Context) -> Result<Scene, Error> {
     let statues: Vec<Mesh> = args.models.iter().map(statue).collect::<Result<_, Error>>()?;
     Scene::with_statues(args.seed, statues, args.size).map_err(|source| {
         let i = match source {
+            SceneError::TooMany { most, .. } => most,
             SceneError::TooLarge { statue, .. } => statue - 1,
             _ => 0,
         };

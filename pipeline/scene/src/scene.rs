@@ -60,15 +60,18 @@ impl Scene {
     /// The floor below is sampled like the rest.
     ///
     /// # Errors
-    /// [`SceneError::TooLarge`] where a statue does not fit.
+    /// [`SceneError::TooMany`] for more than ten, [`SceneError::TooLarge`] where one does not fit.
     pub fn with_statues(
         seed: u64,
         statues: Vec<Mesh>,
         size_m: Option<f64>,
     ) -> Result<Scene, SceneError> {
+        let n = statues.len();
+        if n > rooms::MOST_STATUES {
+            return Err(SceneError::TooMany { n_statues: n, most: rooms::MOST_STATUES });
+        }
         let mut surfaces = rooms::empty();
         let mut group_ends = vec![surfaces.len()];
-        let n = statues.len();
         for (i, statue) in statues.into_iter().enumerate() {
             let (foot_m, space_m) = rooms::place_of_statue(i, n);
             let most_m = statue.fit_m(space_m);
