@@ -166,7 +166,7 @@ fn nearest(
     while many - few > 1 {
         // Leaves go with the logarithm of the capacity.
         let leaf_capacity = few.saturating_mul(many).isqrt().clamp(few + 1, many - 1);
-        let options = CutOptions { max_level, leaf_capacity, shape, profile };
+        let options = CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile };
         let found = cut(&view, &options, memory, &Quiet)?.surfels.len() as f64;
         let off = (found - n_leaves).abs();
         if off < best.0 {

@@ -106,9 +106,11 @@ fn random_octree(rng: &mut Rng, folder: &Path, limits: &Limits) -> std::path::Pa
 }
 
 fn random_config(rng: &mut Rng) -> BuildConfig {
+    let max_level = rng.u8(1..=6);
     BuildConfig {
-        max_level: rng.u8(1..=6),
+        max_level,
         leaf_capacity: if rng.u8(..3) == 0 { 0 } else { rng.u64(1..=8) },
+        max_spread: 2 * u16::from(max_level % 2),
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
         profile: if rng.bool() { Profile::Patch } else { Profile::Paper },
         interaction: None,
