@@ -147,7 +147,7 @@ fn write_scan(case: &Case, scale: Scale, path: &Path) -> Result<(), Box<dyn Erro
 /// Reads a model, or makes a statue where there is none of that name.
 fn statue(model: &str) -> Result<Mesh, Box<dyn Error>> {
     let path = Path::new(MODELS).join(model);
-    Ok(if path.is_file() { scenes::read_mesh(&path)? } else { statue_of_seed(SEED)? })
+    Ok(if path.is_file() { scenes::read_mesh(&path, 1 << 30)?.mesh } else { statue_of_seed(SEED)? })
 }
 
 /// Sets the capacity of leaves so that a cut has about so many: the more points a leaf may hold,

@@ -7,7 +7,7 @@ use pvmap::scene::{MOST_POINTS, Mesh, Scene, SceneError, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::{Error, Limits, Watch, is_input};
 
-use super::{Context, Outcome, parse_count, refuse_input};
+use super::{Context, Outcome, parse_count, read_mesh, refuse_input};
 
 /// Write a generated scene as a scan file, with normals and colours
 #[derive(Debug, clap::Args)]
@@ -72,6 +72,9 @@ pub(super) struct Args {
     /// Write the exact triangles, too, as a PLY mesh (not of furnished)
     #[arg(long, value_name = "MESH.ply")]
     truth: Option<PathBuf>,
+    /// Most memory that models take, at least 64MiB
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
 }
 
 /// Which scene is meant.
@@ -124,9 +127,12 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         }
     };
     let request = SceneRequest { n_points, shuffle: args.shuffle };
-    scenes::write(&scene, &request, &args.output, &Limits::default(), &context.progress)?;
-    if let Some(truth) = &args.truth {
-        scenes::write_truth(&scene, truth)?;
+    let (limits, watch) = (Limits::default(), &context.progress);
+    match &args.truth {
+        None => scenes::write(&scene, &request, &args.output, &limits, watch)?,
+        Some(truth) => {
+            scenes::write_with_truth(&scene, &request, [&args.output, truth], &limits, watch)?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -141,11 +147,13 @@ fn scene(args: &Args, context: &Context) -> Result<Scene, Error> {
         return Ok(Scene::new(kind, args.seed));
     }
     context.progress.stage("models", Some(args.models.len() as u64), "models");
+    let mut left_bytes = args.memory;
     let statue = |path: &PathBuf| {
         context.progress.check()?;
-        let model = scenes::read_mesh(path)?.upright(args.up);
+        let model = read_mesh(path, left_bytes)?;
+        left_bytes -= model.held_bytes;
         context.progress.advance(1);
-        Ok(model)
+        Ok(model.mesh.upright(args.up))
     };
     let statues: Vec<Mesh> = args.models.iter().map(statue).collect::<Result<_, Error>>()?;
     Scene::with_statues(args.seed, statues, args.size).map_err(|source| {
