@@ -147,7 +147,7 @@ fn write_scan(case: &Case, scale: Scale, path: &Path) -> Result<(), Box<dyn Erro
 /// Reads a model, or makes a statue where there is none of that name.
 fn statue(model: &str) -> Result<Mesh, Box<dyn Error>> {
     let path = Path::new(MODELS).join(model);
-    Ok(if path.is_file() { scenes::read_mesh(&path)? } else { statue_of_seed(SEED)? })
+    Ok(if path.is_file() { scenes::read_mesh(&path, 1 << 30)?.mesh } else { statue_of_seed(SEED)? })
 }
 
 /// Sets the capacity of leaves so that a cut has about so many: the more points a leaf may hold,
@@ -166,7 +166,7 @@ fn nearest(
     while many - few > 1 {
         // Leaves go with the logarithm of the capacity.
         let leaf_capacity = few.saturating_mul(many).isqrt().clamp(few + 1, many - 1);
-        let options = CutOptions { max_level, leaf_capacity, shape, profile };
+        let options = CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile };
         let found = cut(&view, &options, memory, &Quiet)?.surfels.len() as f64;
         let off = (found - n_leaves).abs();
         if off < best.0 {

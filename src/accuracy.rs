@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use fastrand::Rng;
 use pvmap_query::exact::Exact;
-use pvmap_query::{ErrorKind, Map, Place, Snap};
-use pvmap_scene::{Sample, Scene};
+use pvmap_query::{ErrorKind, Map, Place, QueryError, Snap};
+use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
 use pvmap_vmap::octree::Placement;
 use pvmap_vmap::{FormatError, OctreeView};
@@ -18,7 +18,7 @@ use crate::Error;
 const CHUNK_PAIRS: u64 = 4096;
 /// Triangles are asked for places by number: these are more than anybody will draw, and so many
 /// that a triangle's share of them is its share of the area.
-const N_PLACES: u64 = 1 << 40;
+const N_PLACES: u64 = MOST_POINTS;
 
 /// A place that is asked about.
 #[derive(Debug, Clone, Copy)]
@@ -38,13 +38,36 @@ pub struct Way<'a> {
 }
 
 /// Says whether two places see each other.
-pub type Answer<'a> = Box<dyn FnMut(&Place, &Place) -> Result<bool, Error> + 'a>;
+pub type Answer<'a> = Box<dyn FnMut(&Place, &Place) -> Result<Reply, Error> + 'a>;
+
+/// What a way says of two places.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reply {
+    /// Whether they see each other.
+    pub visible: bool,
+    /// Whether one is so far from what answers for it that a question would be refused by default.
+    pub is_far: bool,
+}
+
+impl From<bool> for Reply {
+    fn from(visible: bool) -> Reply {
+        Reply { visible, is_far: false }
+    }
+}
 
 impl<'a> Way<'a> {
     /// Answers by the leaves of a map, however far from a place the nearest one is.
     pub fn leaves(map: &'a Map<'_>) -> Way<'a> {
-        let locate = |place: &Place| map.locate(place, Snap::Within(f64::INFINITY));
-        let answer = move |a: &Place, b: &Place| Ok(map.pair(&locate(a)?, &locate(b)?)?.visible);
+        let locate = |place: &Place| match map.locate(place, Snap::default()) {
+            Err(QueryError::NoSurface { .. }) => {
+                Ok((map.locate(place, Snap::Within(f64::INFINITY))?, true))
+            }
+            located => located.map(|located| (located, false)),
+        };
+        let answer = move |a: &Place, b: &Place| {
+            let ((a, a_is_far), (b, b_is_far)) = (locate(a)?, locate(b)?);
+            Ok(Reply { visible: map.pair(&a, &b)?.visible, is_far: a_is_far || b_is_far })
+        };
         Way { name: "leaves", answer: Box::new(answer) }
     }
 
@@ -52,7 +75,7 @@ impl<'a> Way<'a> {
     pub fn points(exact: Exact<'a, 'a>) -> Way<'a> {
         let answer = move |a: &Place, b: &Place| {
             let [a, b] = [exact.nearest(a)?.point, exact.nearest(b)?.point];
-            Ok(exact.pair(&a, &b)?.visible)
+            Ok(exact.pair(&a, &b)?.visible.into())
         };
         Way { name: "points", answer: Box::new(answer) }
     }
@@ -61,13 +84,13 @@ impl<'a> Way<'a> {
 /// What a comparison found.
 #[derive(Debug, Clone, Default)]
 pub struct Comparison {
-    /// Pairs that were judged.
+    /// Pairs that were judged by the truth.
     pub n_pairs: u64,
-    /// Pairs that were not: a place is outside the cube or on none of the truth's surfaces.
+    /// Pairs that were not: a place is on none of the truth's surfaces.
     pub n_left_out: u64,
-    /// Pairs that face each other, whatever is between them.
+    /// Judged pairs that face each other, whatever is between them.
     pub n_facing: u64,
-    /// Pairs that see each other.
+    /// Judged pairs that see each other.
     pub n_visible: u64,
     /// How each way did, in the order given.
     pub tallies: Vec<Tally>,
@@ -78,6 +101,14 @@ pub struct Comparison {
 pub struct Tally {
     /// What it is called.
     pub name: &'static str,
+    /// Judged pairs it answered; what follows but for the next is about these.
+    pub n_pairs: u64,
+    /// Judged pairs it did not answer: a place is outside the cube.
+    pub n_refused: u64,
+    /// Pairs with a place farther from what answers for it than is allowed by default.
+    pub n_far: u64,
+    /// Pairs that face each other.
+    pub n_facing: u64,
     /// Pairs it says see each other, and they do not.
     pub n_false_visible: u64,
     /// Pairs it says do not see each other, and they do.
@@ -88,31 +119,46 @@ pub struct Tally {
     pub seconds: f64,
 }
 
-impl Comparison {
-    /// Counts the pairs that a way answered as the truth does.
-    pub fn n_agreeing(&self, tally: &Tally) -> u64 {
-        self.n_pairs - tally.n_false_visible - tally.n_false_invisible
+impl Tally {
+    /// Counts the pairs that were answered as the truth does.
+    pub fn n_agreeing(&self) -> u64 {
+        self.n_pairs - self.n_false_visible - self.n_false_invisible
     }
 
     /// Counts those of them that face each other.
-    pub fn n_agreeing_facing(&self, tally: &Tally) -> u64 {
-        self.n_facing - tally.n_wrong_facing
+    pub fn n_agreeing_facing(&self) -> u64 {
+        self.n_facing - self.n_wrong_facing
     }
 
+    fn count(&mut self, verdict: Verdict, reply: Option<Reply>) {
+        let Some(Reply { visible, is_far }) = reply else {
+            self.n_refused += 1;
+            return;
+        };
+        self.n_pairs += 1;
+        self.n_far += u64::from(is_far);
+        self.n_facing += u64::from(verdict.faces);
+        self.n_false_visible += u64::from(visible && !verdict.sees);
+        self.n_false_invisible += u64::from(verdict.sees && !visible);
+        self.n_wrong_facing += u64::from(verdict.faces && verdict.sees != visible);
+    }
+}
+
+impl Comparison {
     /// Gives a way's answers a second.
     pub fn rate(&self, tally: &Tally) -> f64 {
         (self.n_pairs + self.n_left_out) as f64 / tally.seconds.max(1e-9)
     }
 
-    fn count(&mut self, verdict: Verdict, answers: &[bool]) {
+    fn count(&mut self, verdict: Option<Verdict>, replies: &[Option<Reply>]) {
+        let Some(verdict) = verdict else {
+            self.n_left_out += 1;
+            return;
+        };
         self.n_pairs += 1;
         self.n_facing += u64::from(verdict.faces);
         self.n_visible += u64::from(verdict.sees);
-        for (tally, &answer) in self.tallies.iter_mut().zip(answers) {
-            tally.n_false_visible += u64::from(answer && !verdict.sees);
-            tally.n_false_invisible += u64::from(verdict.sees && !answer);
-            tally.n_wrong_facing += u64::from(verdict.faces && verdict.sees != answer);
-        }
+        self.tallies.iter_mut().zip(replies).for_each(|(t, reply)| t.count(verdict, *reply));
     }
 }
 
@@ -144,25 +190,20 @@ pub fn compare(
         let n = left.min(CHUNK_PAIRS);
         let mut pair = || Ok::<_, Error>([draw(&mut rng)?, draw(&mut rng)?]);
         let pairs: Vec<[Drawn; 2]> = (0..n).map(|_| pair()).collect::<Result<_, _>>()?;
-        let mut answers = vec![Vec::with_capacity(ways.len()); pairs.len()];
+        let mut replies = vec![Vec::with_capacity(ways.len()); pairs.len()];
         for (way, tally) in ways.iter_mut().zip(&mut found.tallies) {
             let started = Instant::now();
-            for ([a, b], answers) in pairs.iter().zip(&mut answers) {
-                match (way.answer)(&a.place, &b.place) {
-                    Ok(answer) => answers.push(answer),
-                    Err(Error::Query(e)) if e.kind() == ErrorKind::Place => {}
+            for ([a, b], replies) in pairs.iter().zip(&mut replies) {
+                replies.push(match (way.answer)(&a.place, &b.place) {
+                    Ok(reply) => Some(reply),
+                    Err(Error::Query(e)) if e.kind() == ErrorKind::Place => None,
                     Err(e) => return Err(e),
-                }
+                });
             }
             tally.seconds += started.elapsed().as_secs_f64();
         }
         let verdicts: Vec<Option<Verdict>> = pairs.par_iter().map(|p| judge(truth, p)).collect();
-        for (verdict, answers) in verdicts.into_iter().zip(answers) {
-            match verdict {
-                Some(verdict) if answers.len() == ways.len() => found.count(verdict, &answers),
-                _ => found.n_left_out += 1,
-            }
-        }
+        verdicts.into_iter().zip(&replies).for_each(|(v, replies)| found.count(v, replies));
         watch.advance(n);
         left -= n;
     }
@@ -261,12 +302,12 @@ mod tests {
         let mut asked = Vec::new();
         let says = |n: usize| n.is_multiple_of(3);
         let mut ways = [
-            Way { name: "yes", answer: Box::new(|_: &Place, _: &Place| Ok(true)) },
+            Way { name: "yes", answer: Box::new(|_: &Place, _: &Place| Ok(true.into())) },
             Way {
                 name: "every third",
                 answer: Box::new(|a: &Place, b: &Place| {
                     asked.push((*a, *b));
-                    Ok(says(asked.len()))
+                    Ok(says(asked.len()).into())
                 }),
             },
         ];
@@ -288,8 +329,8 @@ mod tests {
         assert!(n_visible > 500 && n_visible < found.n_facing && found.n_facing < 4000);
         let counts = found.tallies.iter().map(|t| (t.n_false_visible, t.n_false_invisible));
         assert_eq!(counts.collect::<Vec<_>>(), [(wrong[0], 0), (wrong[1], wrong[2])]);
-        assert_eq!(found.n_agreeing(&found.tallies[0]), n_visible);
-        assert_eq!(found.n_agreeing_facing(&found.tallies[0]), n_visible);
+        assert_eq!(found.tallies[0].n_agreeing(), n_visible);
+        assert_eq!(found.tallies[0].n_agreeing_facing(), n_visible);
     }
 
     #[test]
@@ -301,8 +342,27 @@ mod tests {
             let drawn = draw_place(&truth, rng);
             Ok(if n_drawn % 10 == 0 { Drawn { sample: None, ..drawn } } else { drawn })
         };
-        let mut ways = [Way { name: "no", answer: Box::new(|_: &Place, _: &Place| Ok(false)) }];
+        let no = |_: &Place, _: &Place| Ok(false.into());
+        let mut n_asked = 0;
+        let outside = QueryError::OutsideCube { place: [9.0; 3], min: [0.0; 3], max: [1.0; 3] };
+        let picky = |_: &Place, _: &Place| {
+            n_asked += 1;
+            match n_asked % 4 {
+                0 => Err(Error::Query(outside.clone())),
+                n => Ok(Reply { visible: false, is_far: n == 1 }),
+            }
+        };
+        let mut ways = [
+            Way { name: "no", answer: Box::new(no) },
+            Way { name: "picky", answer: Box::new(picky) },
+        ];
         let found = compare(&truth, (100, 1), &mut draw, &mut ways, &Quiet).unwrap();
+        // Every fifth pair has a place that is nowhere; of the other 80 one in four is refused.
         assert_eq!((found.n_pairs, found.n_left_out), (80, 20));
+        let [no, picky] = &found.tallies[..] else { panic!("one a way: {found:?}") };
+        assert_eq!((no.n_pairs, no.n_refused, no.n_far), (80, 0, 0), "another's refusals");
+        assert_eq!((picky.n_pairs, picky.n_refused, picky.n_far), (60, 20, 20));
+        assert_eq!(no.n_facing, found.n_facing);
+        assert!(picky.n_facing < found.n_facing && picky.n_agreeing() < 60);
     }
 }

@@ -108,6 +108,7 @@ pub fn build_with(
     let options = BuildOptions {
         max_level: config.max_level,
         leaf_capacity: config.leaf_capacity,
+        max_spread: config.max_spread,
         shape: config.tree,
         profile: config.profile,
         interaction: config.interaction.clone(),
@@ -124,8 +125,9 @@ fn run(
     options: &BuildOptions,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
-    let BuildOptions { max_level, leaf_capacity, shape, profile, memory_bytes, .. } = *options;
-    let cut_options = CutOptions { max_level, leaf_capacity, shape, profile };
+    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, .. } = *options;
+    let cut_options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile };
+    let memory_bytes = options.memory_bytes;
     // The tree gets most; to fill in its spacing takes some of what the points had.
     let points_bytes = memory_bytes / 16 * 5;
     let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };

@@ -97,11 +97,17 @@ impl Error {
             Error::Visibility(VisibilityError::Differs { .. }) => 78,
             Error::Query(e) if e.kind() == pvmap_query::ErrorKind::Usage => 2,
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
-            Error::Scene { source: SceneError::TooLarge { .. } | SceneError::Round, .. } => 2,
-            Error::Scene { .. } => 65,
+            Error::Scene { source, .. } => of_scene(source),
             Error::Usage(_) => 2,
             Error::Threads(_) => 74,
         }
+    }
+}
+
+fn of_scene(e: &SceneError) -> u8 {
+    match e {
+        SceneError::TooMany { .. } | SceneError::TooLarge { .. } | SceneError::Round => 2,
+        _ => 65,
     }
 }
 

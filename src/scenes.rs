@@ -4,7 +4,9 @@
 use std::path::Path;
 
 use pvmap_geometry::{PointBatch, Positions};
-use pvmap_scan::{ColorRange, LasOptions, LasWriter, MeshData, PlyColumns, PlyWriter};
+use pvmap_scan::{
+    ColorRange, LasOptions, LasWriter, MeshMemory, MeshWriter, PlyColumns, PlyWriter,
+};
 use pvmap_scene::{Mesh, Sample, Scene};
 use pvmap_store::Watch;
 use rayon::prelude::*;
@@ -41,24 +43,65 @@ pub fn write(
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<(), Error> {
-    let mut writer = open(path, request.n_points)?;
-    watch.stage("scene", Some(request.n_points), "points");
+    let mut scan = open(path, request.n_points)?;
     limits.run(|| {
+        scan.fill(scene, request, watch)?;
+        scan.finish()
+    })?
+}
+
+/// Writes points of a scene as [`write`] does, and beside them its exact triangles as a PLY mesh,
+/// in its own metres. A scan that got its name has its truth: that gets its name first.
+///
+/// # Errors
+/// Those of [`write`], and where the scene has a sphere or the mesh cannot be written. Neither file
+/// is there then or, where the scan's last step failed, the truth alone.
+pub fn write_with_truth(
+    scene: &Scene,
+    request: &SceneRequest,
+    [path, truth]: [&Path; 2],
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<(), Error> {
+    // Both are begun before there is any work to lose.
+    let mut scan = open(path, request.n_points)?;
+    let file = MeshWriter::create(truth)?;
+    let (mesh, colors) =
+        scene.mesh().map_err(|source| Error::Scene { path: truth.to_path_buf(), source })?;
+    limits.run(|| {
+        scan.fill(scene, request, watch)?;
+        file.finish(mesh.corners(), mesh.triangles(), &colors)?;
+        scan.finish()
+    })?
+}
+
+impl Writer {
+    fn fill(
+        &mut self,
+        scene: &Scene,
+        request: &SceneRequest,
+        watch: &dyn Watch,
+    ) -> Result<(), Error> {
+        watch.stage("scene", Some(request.n_points), "points");
         for first in (0..request.n_points).step_by(BLOCK_POINTS as usize) {
             watch.check()?;
             let batch = batch(scene, request, first, BLOCK_POINTS.min(request.n_points - first));
-            match &mut writer {
+            match self {
                 Writer::Las(w) => w.write(&batch)?,
                 Writer::Ply(w) => w.write(&batch)?,
             }
             watch.advance(batch.len() as u64);
         }
-        match writer {
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), Error> {
+        match self {
             Writer::Las(w) => w.finish()?,
             Writer::Ply(w) => w.finish()?,
         }
         Ok(())
-    })?
+    }
 }
 
 fn open(path: &Path, n_points: u64) -> Result<Writer, Error> {
@@ -100,22 +143,30 @@ pub fn batch(scene: &Scene, request: &SceneRequest, first: u64, n: u64) -> Point
     }
 }
 
+/// A mesh that was read.
+#[derive(Debug)]
+pub struct Model {
+    /// Its triangles.
+    pub mesh: Mesh,
+    /// Faces of fewer than three corners, which were left out.
+    pub n_flat_faces: u64,
+    /// What of the memory it takes, in a scene and when that is written as a mesh again.
+    pub held_bytes: u64,
+}
+
 /// Reads a mesh, such as a model or the truth of a scene, from a PLY file; gzip may have packed it.
 ///
 /// # Errors
-/// Where the file cannot be read or is no mesh.
-pub fn read_mesh(path: &Path) -> Result<Mesh, Error> {
-    let MeshData { corners, normals, triangles } = pvmap_scan::read_mesh(path)?;
-    Mesh::new(corners, normals, triangles)
-        .map_err(|source| Error::Scene { path: path.to_path_buf(), source })
-}
-
-/// Writes the exact triangles of a scene, in its own metres, as a binary PLY mesh.
-///
-/// # Errors
-/// Where the scene has a sphere or the file cannot be written.
-pub fn write_truth(scene: &Scene, path: &Path) -> Result<(), Error> {
-    let (mesh, colors) =
-        scene.mesh().map_err(|source| Error::Scene { path: path.to_path_buf(), source })?;
-    Ok(pvmap_scan::write_mesh(path, mesh.corners(), mesh.triangles(), &colors)?)
+/// Where the file cannot be read, is no mesh, or is more than `memory_bytes` hold of a scene.
+pub fn read_mesh(path: &Path, memory_bytes: u64) -> Result<Model, Error> {
+    let memory = MeshMemory {
+        total_bytes: memory_bytes,
+        corner_bytes: Scene::MESH_CORNER_BYTES,
+        triangle_bytes: Scene::TRIANGLE_BYTES + Scene::MESH_TRIANGLE_BYTES,
+    };
+    let read = pvmap_scan::read_mesh(path, memory)?;
+    let (n_flat_faces, held_bytes) = (read.n_flat_faces, memory.needed(&read));
+    let mesh = Mesh::new(read.corners, read.normals, read.triangles)
+        .map_err(|source| Error::Scene { path: path.to_path_buf(), source })?;
+    Ok(Model { mesh, n_flat_faces, held_bytes })
 }

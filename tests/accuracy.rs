@@ -54,7 +54,7 @@ fn answers_agree_with_exact_geometry() {
         let map = build_with(&octree, &config, &LIMITS);
         let found = ask(&map, &scene, n_points, n_pairs);
         assert_eq!((found.n_pairs, found.n_left_out), (n_pairs, 0));
-        let percent = 100.0 * found.n_agreeing(&found.tallies[0]) as f64 / n_pairs as f64;
+        let percent = 100.0 * found.tallies[0].n_agreeing() as f64 / n_pairs as f64;
         eprintln!("{preset}, {n_points} points: {percent:.2} % agree, {found:?}");
         assert!(percent >= bar, "{preset}: {percent:.2} %, {bar} expected");
         // Neither answer is so rare that it could be missing.

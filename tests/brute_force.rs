@@ -106,9 +106,11 @@ fn random_octree(rng: &mut Rng, folder: &Path, limits: &Limits) -> std::path::Pa
 }
 
 fn random_config(rng: &mut Rng) -> BuildConfig {
+    let max_level = rng.u8(1..=6);
     BuildConfig {
-        max_level: rng.u8(1..=6),
+        max_level,
         leaf_capacity: if rng.u8(..3) == 0 { 0 } else { rng.u64(1..=8) },
+        max_spread: 2 * u16::from(max_level % 2),
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
         profile: if rng.bool() { Profile::Patch } else { Profile::Paper },
         interaction: None,
@@ -215,16 +217,42 @@ fn check_cut(octree: &Path, model: &Model, config: &BuildConfig, note: &str) {
         let points: u64 = model.leaves[id].iter().map(|&s| leaves[s].points.len() as u64).sum();
         assert_eq!(node.n_points, points, "node {id}: {note}");
         let is_full = points > config.leaf_capacity && node.level < config.max_level;
+        let places = model.leaves[id].iter().flat_map(|&s| leaves[s].points.iter().map(|p| p.g));
+        let is_spread =
+            node.level < config.max_level && is_spread(places.collect(), config.max_spread);
         match node.split {
-            Split::Octants => assert!(is_full, "node {id}: {note}"),
+            Split::Octants => assert!(is_full || is_spread, "node {id}: {note}"),
             Split::Leaf | Split::Quadrants => {
                 let in_cell = model.points_of_quadrants(id).max(points);
                 let was_full = in_cell > config.leaf_capacity && node.level < config.max_level;
                 assert!(!was_full, "node {id}: {note}");
+                let is_quadrant = in_cell > points;
+                assert!(is_quadrant || !is_spread, "node {id}: {note}");
             }
             Split::Bins => assert!(id == 0 && config.tree == Shape::Binned, "{note}"),
         }
     }
+}
+
+/// Says whether places are spread thin, by the words of pipeline/README.md.
+fn is_spread(places: BTreeSet<[u32; 3]>, most: u16) -> bool {
+    let n = places.len();
+    if most == 0 || n < 4 {
+        return false;
+    }
+    let d2 = |a: &[u32; 3], b: &[u32; 3]| {
+        (0..3).map(|i| u128::from(a[i].abs_diff(b[i])).pow(2)).sum::<u128>()
+    };
+    let nearest = |a| places.iter().filter(|b| *b != a).map(|b| d2(a, b)).min().unwrap();
+    let mut near: Vec<u128> = places.iter().map(nearest).collect();
+    near.sort_unstable();
+    let s = (9 * near[(n - 1) / 2] / 4).isqrt();
+    let mut sides = [0, 1, 2].map(|i| {
+        let axis = || places.iter().map(move |p| u128::from(p[i]));
+        axis().max().unwrap() - axis().min().unwrap()
+    });
+    sides.sort_unstable();
+    (sides[1] + s) * (sides[2] + s) > u128::from(most) * n as u128 * s * s
 }
 
 fn census(model: &Model, links: &[(u32, u32)]) -> Seen {

@@ -9,13 +9,22 @@ use std::path::Path;
 use cli_common::{Bench, data, is_slow_asked_for};
 use pvmap::accuracy::{Way, compare, draw_place};
 use pvmap::query::Place;
-use pvmap::scan::write_mesh;
+use pvmap::scan::MeshWriter;
 use pvmap::scene::{Mesh, Scene, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::OctreeView;
 use pvmap::vmap::octree::Placement;
 use pvmap::{Limits, Quiet};
 use serde_json::Value;
+
+fn write_mesh(path: &Path, corners: &[[f64; 3]], triangles: &[[u32; 3]]) {
+    let colors = vec![[0; 3]; triangles.len()];
+    MeshWriter::create(path).unwrap().finish(corners, triangles, &colors).unwrap();
+}
+
+fn read_mesh(path: &Path) -> Mesh {
+    scenes::read_mesh(path, 1 << 30).unwrap().mesh
+}
 
 /// A needle with eight sides and a notch half way up, its front outward, y up.
 fn needle(path: &Path) {
@@ -34,13 +43,13 @@ fn needle(path: &Path) {
             triangles.extend([[a, b, c], [a, c, d]]);
         }
     }
-    write_mesh(path, &corners, &triangles, &vec![[0; 3]; triangles.len()]).unwrap();
+    write_mesh(path, &corners, &triangles);
 }
 
 fn two_needles(folder: &Path) -> Scene {
     let path = folder.join("needle.ply");
     needle(&path);
-    let model = || scenes::read_mesh(&path).unwrap().upright(Up::Y);
+    let model = || read_mesh(&path).upright(Up::Y);
     Scene::with_statues(1, vec![model(), model()], None).unwrap()
 }
 
@@ -84,7 +93,7 @@ fn truth_comes_back_as_it_was_and_its_triangles_hold_all_points() {
     let line = "scene cornell --model needle.ply --model needle.ply --points 3k -o two.ply \
                 --truth two.mesh.ply";
     bench.line(line).ok();
-    let found = scenes::read_mesh(&bench.path("two.mesh.ply")).unwrap();
+    let found = read_mesh(&bench.path("two.mesh.ply"));
     let (expected, colors) = two_needles(bench.path("").as_path()).mesh().unwrap();
     assert_eq!(found, expected);
     assert_eq!(colors.len(), 12 + 2 * 24);
@@ -143,13 +152,13 @@ fn the_truth_counted_is_that_of_all_triangles_one_by_one() {
         let sees = faces && !triangles.iter().any(|t| meets(t, p, sub(q, p)));
         counts[0] += u64::from(faces);
         counts[1] += u64::from(sees);
-        Ok(sees)
+        Ok(sees.into())
     };
     let mut ways = [Way { name: "one by one", answer: Box::new(answer) }];
     let mut draw = |rng: &mut fastrand::Rng| Ok(draw_place(&truth, rng));
     let found = compare(&truth, (20_000, 3), &mut draw, &mut ways, &Quiet).unwrap();
     drop(ways);
-    assert_eq!(found.n_agreeing(&found.tallies[0]), 20_000);
+    assert_eq!(found.tallies[0].n_agreeing(), 20_000);
     assert_eq!([found.n_facing, found.n_visible], counts);
     assert!(found.n_visible > 5_000 && found.n_facing > found.n_visible + 500, "{found:?}");
 }
@@ -226,10 +235,59 @@ fn what_cannot_be_a_scene_is_told_in_one_line() {
         ("scene cornell --model needle.ply -o needle.ply", &["needle.ply", "inputs"]),
         ("scene cornell -o a.ply --truth a.ply", &["a.ply", "one file"]),
         ("scene furnished -o a.ply --truth b.ply", &["b.ply", "sphere"]),
+        ("scene empty -o a.ply --points 2000000M", &["--points", "at most 1099511627776"]),
+        ("scene cornell --points 400000M,1 -o a.ply", &["2 numbers", "expected 1"]),
     ] {
         bench.line(line).fails(2, words);
     }
+    let eleven = " --model needle.ply".repeat(11);
+    let words = ["needle.ply", "11 statues, the room holds 10"];
+    bench.line(&format!("scene cornell{eleven} -o a.ply")).fails(2, &words);
     assert!(!bench.path("a.ply").exists());
+}
+
+#[test]
+fn a_truth_that_cannot_be_written_leaves_no_scan_alone() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.path("folder.ply")).unwrap();
+    bench.write("old.ply", "before");
+    for (truth, code) in [("nowhere/b.ply", 73), ("folder.ply", 73)] {
+        bench
+            .line(&format!("scene cornell --points 100 -o a.ply --truth {truth}"))
+            .fails(code, &[truth]);
+        bench
+            .line(&format!("scene cornell --points 100 -o old.ply --truth {truth}"))
+            .fails(code, &[truth]);
+    }
+    bench.line("scene cornell --points 100 -o nowhere/a.ply --truth b.ply").fails(73, &["a.ply"]);
+    assert!(!bench.path("a.ply").exists() && !bench.path("b.ply").exists());
+    assert_eq!(bench.read("old.ply"), b"before");
+}
+
+#[test]
+fn triangles_count_against_the_memory_and_flat_faces_are_told() {
+    let bench = Bench::new();
+    // 300 000 triangles of three corners.
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n\
+                    property float y\nproperty float z\nelement face 300000\n\
+                    property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+        .to_owned();
+    text += &"3 0 1 2\n".repeat(299_998);
+    text += "2 0 1\n0\n";
+    bench.write("many.ply", text);
+    bench.line("scene empty --points 100 -o a.ply").ok();
+    bench.line("ingest a.ply").ok();
+    bench.line("build a.octree").ok();
+    let scene = "scene cornell --points 100 -o b.ply --model many.ply";
+    let ask = "accuracy a.vmap --pairs 10 --truth many.ply";
+    let words = ["--memory", "triangles"];
+    for line in [scene, ask] {
+        bench.line(&format!("{line} --memory 64MiB")).fails(78, &words);
+    }
+    // One alone would fit.
+    bench.line(&format!("{scene} --model many.ply --memory 120MiB")).fails(78, &words);
+    let run = bench.line(&format!("{scene} --memory 120MiB")).ok();
+    run.warns(&["many.ply: 2 faces of fewer than three corners"]);
 }
 
 #[test]
@@ -246,35 +304,67 @@ fn a_map_is_asked_of_its_own_truth_and_octree() {
     bench.line("accuracy room.vmap --truth none.ply").fails(66, &["none.ply"]);
     bench.line("accuracy room.octree --truth room.mesh.ply").fails(65, &["room.octree"]);
     let far = [[900.0, 0.0, 0.0], [901.0, 0.0, 0.0], [900.0, 1.0, 0.0]];
-    write_mesh(&bench.path("far.ply"), &far, &[[0, 1, 2]], &[[0; 3]]).unwrap();
+    write_mesh(&bench.path("far.ply"), &far, &[[0, 1, 2]]);
     for octree in ["", " --octree room.octree"] {
         let line = format!("accuracy room.vmap --truth far.ply --pairs 100{octree}");
         bench.line(&line).fails(65, &["far.ply", "none of the pairs"]);
     }
 }
 
+/// Makes a room with models, its octree and its map, and says what share of pairs each way answers
+/// as the triangles do, in percent.
+fn agreement(bench: &Bench, models: &str, n_points: u32, build: &str, asked: &str) -> Vec<f64> {
+    let room = format!("{models} --points {n_points} -o r.ply --truth r.mesh.ply");
+    bench.line(&format!("scene cornell{room}")).ok();
+    bench.line("ingest r.ply").ok();
+    bench.line(&format!("build r.octree {build}")).ok();
+    let line = format!("r.vmap --truth r.mesh.ply --octree r.octree {asked}");
+    let found = accuracy(bench, &line);
+    assert_eq!(found["left_out"], 0, "{found}");
+    let ways = found["ways"].as_array().unwrap();
+    let shares = ways.iter().map(|way| {
+        assert_eq!((&way["refused"], &way["far"]), (&0.into(), &0.into()), "{found}");
+        100.0 * way["agree"]["share"].as_f64().unwrap()
+    });
+    let shares: Vec<f64> = shares.collect();
+    eprintln!("{models} {n_points} points {build}: {shares:.2?} % agree");
+    shares
+}
+
 #[test]
 fn rooms_with_the_papers_statues() {
-    let Some(models) = data("stanford") else { return };
-    // Measured with 400 000 points: 98.73 % and 95.81 %.
-    let (n_points, least) =
-        if is_slow_asked_for() { (400_000, [0.984, 0.954]) } else { (30_000, [0.95, 0.88]) };
-    let model = |name: &str| format!(" --model {}", models.join(name).display());
-    let rooms = [
-        model("bunny_bun_zipper.ply"),
-        model("dragon_vrip_res3.ply.gz") + &model("armadillo_43k.ply"),
-    ];
-    for (room, least) in rooms.iter().zip(least) {
+    let Some(folder) = data("stanford") else { return };
+    let model = |name: &str| format!(" --model {}", folder.join(name).display());
+    let bunny = model("bunny_bun_zipper.ply");
+    let two = model("dragon_vrip_res3.ply.gz") + &model("armadillo_43k.ply");
+    let ask = |models: &str, build: &str| {
+        agreement(&Bench::new(), models, 30_000, build, "--pairs 20k")[0]
+    };
+    assert!(ask(&bunny, "") > 95.0);
+    let plain = ask(&two, "");
+    assert!(plain > 88.0);
+    // Limbs are thin, and so are the leaves that are cut further.
+    let cut_further = ask(&two, "--max-spread 3");
+    assert!(cut_further > plain + 0.5, "{plain} {cut_further}");
+}
+
+#[test]
+fn rooms_of_the_readme() {
+    let (Some(folder), true) = (data("stanford"), is_slow_asked_for()) else { return };
+    let model = |name: &str| format!(" --model {}", folder.join(name).display());
+    let two = model("dragon_vrip.ply.gz") + &model("armadillo_43k.ply");
+    // Measured: surfels 98.73, 98.19 and 96.34 %, points 99.68, 99.66 and 99.35 %, surfels with
+    // --max-spread 3 98.87, 98.79 and 97.91 %. Of 100 000 pairs a tenth of a percent is chance.
+    for (models, least) in [
+        (model("bunny_bun_zipper.ply"), [98.6, 99.55, 98.75]),
+        (model("happy_buddha_50k.ply"), [98.0, 99.5, 98.6]),
+        (two, [96.1, 99.2, 97.7]),
+    ] {
         let bench = Bench::new();
-        let line = format!("scene cornell{room} --points {n_points} -o r.ply --truth r.mesh.ply");
-        bench.line(&line).ok();
-        bench.line("ingest r.ply").ok();
-        bench.line("build r.octree").ok();
-        let found = accuracy(&bench, "r.vmap --truth r.mesh.ply --octree r.octree --pairs 20k");
-        assert_eq!(found["left_out"], 0, "{found}");
-        let share = found["ways"][0]["agree"]["share"].as_f64().unwrap();
-        eprintln!("{n_points} points: {:.2} % agree", 100.0 * share);
-        assert!(share > least, "{found}");
+        let plain = agreement(&bench, &models, 400_000, "", "--exact");
+        let cut_further = agreement(&bench, &models, 400_000, "--max-spread 3", "");
+        let found = [plain[0], plain[1], cut_further[0]];
+        assert!(found.iter().zip(least).all(|(f, l)| *f > l), "{models}: {found:?}, {least:?}");
     }
 }
 
@@ -285,5 +375,5 @@ fn the_packed_room_has_its_truth() {
     bench.line("scene packed --points 500 -o b.ply").ok();
     assert!(bench.read("a.ply") == bench.read("b.ply"));
     let (mesh, _) = Scene::new(SceneKind::Packed, 1).mesh().unwrap();
-    assert_eq!(scenes::read_mesh(&bench.path("a.mesh.ply")).unwrap(), mesh);
+    assert_eq!(read_mesh(&bench.path("a.mesh.ply")), mesh);
 }

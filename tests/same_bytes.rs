@@ -126,7 +126,8 @@ fn with_normals(
 
 /// Trees of some thousand leaves, of both shapes.
 fn configs() -> [BuildConfig; 2] {
-    let binned = BuildConfig { max_level: 6, leaf_capacity: 10, ..BuildConfig::default() };
+    let (max_level, leaf_capacity, max_spread) = (6, 10, 3);
+    let binned = BuildConfig { max_level, leaf_capacity, max_spread, ..BuildConfig::default() };
     let paper = BuildConfig { tree: Shape::Paper, max_level: 4, ..binned.clone() };
     [binned, paper]
 }

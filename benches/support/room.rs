@@ -15,8 +15,13 @@ use pvmap_visibility::sheets::Sheets;
 
 const N_POINTS: u64 = 60_000;
 pub(crate) const PROFILE: Profile = Profile::Patch;
-const CUT: CutOptions =
-    CutOptions { max_level: 8, leaf_capacity: 24, shape: Shape::Binned, profile: PROFILE };
+const CUT: CutOptions = CutOptions {
+    max_level: 8,
+    leaf_capacity: 24,
+    max_spread: 0,
+    shape: Shape::Binned,
+    profile: PROFILE,
+};
 
 /// What pairs are decided from.
 #[derive(Debug)]

@@ -6,13 +6,13 @@ use std::process::ExitCode;
 
 use pvmap::accuracy::{self, Comparison, Drawn, ScanPoints, Tally, Way, wilson};
 use pvmap::query::Map;
-use pvmap::query::exact::Exact;
+use pvmap::query::exact::{Exact, check_pair};
 use pvmap::scene::Scene;
-use pvmap::{Error, Watch, scenes};
+use pvmap::{Error, Watch};
 use serde_json::{Value, json};
 
 use super::exact::{Nearness, Points};
-use super::{Context, Outcome, map_file, parse_some, print_json};
+use super::{Context, Outcome, map_file, parse_some, print_json, read_mesh};
 
 /// Compare answers of a map with the exact triangles of its scene
 #[derive(Debug, clap::Args)]
@@ -26,15 +26,18 @@ In truth two places see each other where both triangles turn their front (counte
 the other place and no third triangle crosses the segment between them, whichever its front. A
 triangle that holds an end, to within 1e-12 of the mesh's extent, hides nothing from that end.
 
-Output, with 95 % intervals (Wilson); shares are of all pairs unless it says otherwise:
+Output, with 95 % intervals (Wilson); shares of all pairs, then of those that were answered:
   face each other      by the triangles' fronts, whatever is between
   see each other       by the triangles
+  left out             with --octree: pairs with a place farther from the triangles than a
+                       hundredth of their extent, counted nowhere else
   agree                answers of the map that are those of the triangles
   agree, facing        the same, of the pairs that face each other
   wrongly visible      the map says yes, the triangles no
   wrongly invisible    the map says no, the triangles yes
-  left out             pairs with a place outside the map's cube or, with --octree, farther from
-                       the triangles than a hundredth of their extent
+  refused              pairs without an answer: a place is outside the cube
+  far                  pairs that leaves answered although a place is so far from its surfel that
+                       pvmap query MAP pair would ask for --snap
 
 Examples:
   pvmap scene cornell --model bunny.ply -o room.ply --truth room.mesh.ply
@@ -63,6 +66,9 @@ pub(super) struct Args {
     /// What the pairs are drawn from
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
+    /// Most memory that the triangles take, at least 64MiB
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
     /// Answer as one JSON object
     #[arg(long)]
     json: bool,
@@ -75,15 +81,17 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let octree = args.octree.as_deref().map(Points::open).transpose()?;
     let view = octree.as_ref().map(Points::view).transpose()?;
     watch.stage("truth", None, "triangles");
-    let truth = Scene::of_mesh(&scenes::read_mesh(&args.truth)?, args.seed);
+    let truth = Scene::of_mesh(&read_mesh(&args.truth, args.memory)?.mesh, args.seed);
     watch.advance(truth.n_surfaces() as u64);
     watch.stage("accuracy", Some(args.pairs), "pairs");
     let mut ways = vec![Way::leaves(&map)];
     if let (Some(points), Some(view)) = (&octree, &view) {
         let refuse = |e| points.named(&path, e);
-        let exact = Exact::new(view, args.nearness.options(&map).map_err(refuse)?);
-        exact.require_map(&map).map_err(refuse)?;
-        ways.extend(args.exact.then(|| Way::points(exact)));
+        check_pair(map.view(), view).map_err(refuse)?;
+        if args.exact {
+            let options = args.nearness.options(&map).map_err(refuse)?;
+            ways.push(Way::points(Exact::new(view, options)));
+        }
     }
     let mut ask = |draw: &mut dyn FnMut(&mut fastrand::Rng) -> Result<Drawn, Error>| {
         accuracy::compare(&truth, (args.pairs, args.seed), draw, &mut ways, watch).map_err(|e| {
@@ -100,7 +108,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         }
         _ => ask(&mut |rng| Ok(accuracy::draw_place(&truth, rng)))?,
     };
-    if found.n_pairs == 0 {
+    if found.tallies.iter().all(|t| t.n_pairs == 0) {
         let message = format!(
             "{}: none of the pairs lies both in the map and on the triangles; give the truth of \
              this scan, in its units",
@@ -125,14 +133,20 @@ fn named(path: &std::path::Path, e: Error) -> Error {
 }
 
 /// A count of a way's answers, and of how many it is a part.
-type Row = (&'static str, fn(&Comparison, &Tally) -> [u64; 2]);
+type Row = (&'static str, fn(&Tally) -> [u64; 2]);
 
 const ROWS: [Row; 4] = [
-    ("agree", |c, t| [c.n_agreeing(t), c.n_pairs]),
-    ("agree, facing", |c, t| [c.n_agreeing_facing(t), c.n_facing]),
-    ("wrongly visible", |c, t| [t.n_false_visible, c.n_pairs]),
-    ("wrongly invisible", |c, t| [t.n_false_invisible, c.n_pairs]),
+    ("agree", |t| [t.n_agreeing(), t.n_pairs]),
+    ("agree, facing", |t| [t.n_agreeing_facing(), t.n_facing]),
+    ("wrongly visible", |t| [t.n_false_visible, t.n_pairs]),
+    ("wrongly invisible", |t| [t.n_false_invisible, t.n_pairs]),
 ];
+
+/// Writes a share with its 95 % interval.
+fn share([k, n]: [u64; 2]) -> String {
+    let [low, high] = wilson(k, n).map(|v| 100.0 * v);
+    format!("{:.3} % ({low:.3} – {high:.3})", 100.0 * k as f64 / n.max(1) as f64)
+}
 
 fn print(args: &Args, found: &Comparison, n_triangles: usize) -> io::Result<()> {
     let mut out = io::stdout().lock();
@@ -145,31 +159,33 @@ fn print(args: &Args, found: &Comparison, n_triangles: usize) -> io::Result<()> 
         "{} pairs of {from} (seed {}), against {n_triangles} triangles\n",
         found.n_pairs, args.seed
     )?;
-    let percent = |k: u64, n: u64| format!("{:.3} %", 100.0 * k as f64 / n.max(1) as f64);
-    let row = |name: &str, k: u64| format!("{name:<22}{:>12}", percent(k, found.n_pairs));
-    writeln!(out, "{}", row("face each other", found.n_facing))?;
-    writeln!(out, "{}", row("see each other", found.n_visible))?;
-    writeln!(out, "{:<22}{:>12}\n", "left out", found.n_left_out)?;
+    let of_all = |k: u64| share([k, found.n_pairs]);
+    writeln!(out, "{:<22}{:>32}", "face each other", of_all(found.n_facing))?;
+    writeln!(out, "{:<22}{:>32}", "see each other", of_all(found.n_visible))?;
+    writeln!(out, "{:<22}{:>32}\n", "left out", found.n_left_out)?;
     let columns = |cell: &dyn Fn(&Tally) -> String| {
         found.tallies.iter().map(|t| format!("{:>32}", cell(t))).collect::<String>()
     };
     writeln!(out, "{:<22}{}", "answered by", columns(&|t| t.name.to_owned()))?;
     for (name, count) in ROWS {
-        let cell = |t: &Tally| {
-            let [k, n] = count(found, t);
-            let [low, high] = wilson(k, n).map(|v| 100.0 * v);
-            format!("{} ({low:.3} – {high:.3})", percent(k, n))
-        };
-        writeln!(out, "{name:<22}{}", columns(&cell))?;
+        writeln!(out, "{name:<22}{}", columns(&|t| share(count(t))))?;
     }
+    writeln!(out, "{:<22}{}", "refused", columns(&|t| t.n_refused.to_string()))?;
+    writeln!(out, "{:<22}{}", "far", columns(&|t| t.n_far.to_string()))?;
     writeln!(out, "{:<22}{}", "answers a second", columns(&|t| format!("{:.0}", found.rate(t))))
 }
 
 fn as_json(found: &Comparison, n_triangles: usize) -> Value {
     let way = |t: &Tally| {
-        let mut way = json!({ "name": t.name, "answers_per_second": found.rate(t) });
+        let mut way = json!({
+            "name": t.name,
+            "answered": t.n_pairs,
+            "refused": t.n_refused,
+            "far": t.n_far,
+            "answers_per_second": found.rate(t),
+        });
         for (name, count) in ROWS {
-            let [k, n] = count(found, t);
+            let [k, n] = count(t);
             let [low, high] = wilson(k, n);
             let share = k as f64 / n.max(1) as f64;
             way[name.replace(", ", "_").replace(' ', "_")] =

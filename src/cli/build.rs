@@ -23,6 +23,7 @@ A configuration file has the same names as keys, all optional, and a table for a
 interaction list; flags override it. In brackets above stands what depth8 says:
   max_level = 8
   leaf_capacity = 50
+  max_spread = 0
   tree = \"binned\"
   profile = \"patch\"
   threads = 0
@@ -64,6 +65,11 @@ pub(super) struct Args {
     /// [depth8: 50]
     #[arg(long, value_name = "N", verbatim_doc_comment)]
     leaf_capacity: Option<u64>,
+    /// Cuts leaves further whose points are so spread that their box has
+    /// more than N times the area they cover, such as thin limbs; 3 takes
+    /// some more leaves and time, 0 asks for nothing [depth8: 0]
+    #[arg(long, value_name = "N", verbatim_doc_comment)]
+    max_spread: Option<u16>,
     /// binned (an octree for each of six directions of normals) or paper
     /// (one plain octree) [depth8: binned]
     #[arg(
@@ -97,6 +103,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let flags = RawConfig {
         max_level: args.max_level,
         leaf_capacity: args.leaf_capacity,
+        max_spread: args.max_spread,
         tree: args.tree,
         profile: args.profile,
         threads: args.threads,

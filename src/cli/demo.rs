@@ -140,9 +140,7 @@ fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::
     row("map", &|c| mib(c.built.report.output_bytes))?;
     row("depth", &|c| c.config.max_level.to_string())?;
     row("pairs asked", &|c| c.sample.n_pairs.to_string())?;
-    row("agree with truth", &|c| {
-        share(c.sample.n_agreeing(&c.sample.tallies[0]), c.sample.n_pairs)
-    })?;
+    row("agree with truth", &|c| share(c.sample.tallies[0].n_agreeing(), c.sample.n_pairs))?;
     row("truly visible", &|c| share(c.sample.n_visible, c.sample.n_pairs))?;
     row("wrongly visible", &|c| share(c.sample.tallies[0].n_false_visible, c.sample.n_pairs))?;
     row("wrongly invisible", &|c| share(c.sample.tallies[0].n_false_invisible, c.sample.n_pairs))?;

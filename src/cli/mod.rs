@@ -19,6 +19,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use clap::{Parser, Subcommand};
+use pvmap::scenes::{self, Model};
 use pvmap::{Error, StoreError, VisibilityError};
 
 use crate::progress::{Mode, Progress};
@@ -297,6 +298,21 @@ fn parse_count(text: &str) -> Result<u64, String> {
         Ok(v) if v >= 0.0 && v * factor < 1e15 => Ok((v * factor).round() as u64),
         _ => Err(format!("{text:?} is not a number of points; write for example 400k or 20M")),
     }
+}
+
+/// Reads a mesh, and says what was left out of it.
+fn read_mesh(path: &Path, memory_bytes: u64) -> Result<Model, Error> {
+    let model = scenes::read_mesh(path, memory_bytes)?;
+    if model.n_flat_faces > 0 {
+        // Where stderr is closed nobody wants to know.
+        let _ = writeln!(
+            std::io::stderr().lock(),
+            "pvmap: warning: {}: {} faces of fewer than three corners left out",
+            path.display(),
+            model.n_flat_faces
+        );
+    }
+    Ok(model)
 }
 
 /// Reads a number of points that is not zero.

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::scene::{Mesh, Scene, SceneError, SceneKind, Up};
+use pvmap::scene::{MOST_POINTS, Mesh, Scene, SceneError, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::{Error, Limits, Watch, is_input};
 
-use super::{Context, Outcome, parse_count, refuse_input};
+use super::{Context, Outcome, parse_count, read_mesh, refuse_input};
 
 /// Write a generated scene as a scan file, with normals and colours
 #[derive(Debug, clap::Args)]
@@ -72,6 +72,9 @@ pub(super) struct Args {
     /// Write the exact triangles, too, as a PLY mesh (not of furnished)
     #[arg(long, value_name = "MESH.ply")]
     truth: Option<PathBuf>,
+    /// Most memory that models take, at least 64MiB
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
 }
 
 /// Which scene is meant.
@@ -108,6 +111,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Scene { path: truth.clone(), source }.into());
         }
     }
+    let n_points = args.points.iter().sum();
+    if n_points > MOST_POINTS {
+        let message = format!("--points: {n_points}, a scene has at most {MOST_POINTS}");
+        return Err(Error::Usage(message).into());
+    }
     let scene = scene(args, context)?;
     let scene = match &args.points[..] {
         [_] => scene,
@@ -118,10 +126,13 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Usage(message).into());
         }
     };
-    let request = SceneRequest { n_points: args.points.iter().sum(), shuffle: args.shuffle };
-    scenes::write(&scene, &request, &args.output, &Limits::default(), &context.progress)?;
-    if let Some(truth) = &args.truth {
-        scenes::write_truth(&scene, truth)?;
+    let request = SceneRequest { n_points, shuffle: args.shuffle };
+    let (limits, watch) = (Limits::default(), &context.progress);
+    match &args.truth {
+        None => scenes::write(&scene, &request, &args.output, &limits, watch)?,
+        Some(truth) => {
+            scenes::write_with_truth(&scene, &request, [&args.output, truth], &limits, watch)?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -136,15 +147,18 @@ fn scene(args: &Args, context: &Context) -> Result<Scene, Error> {
         return Ok(Scene::new(kind, args.seed));
     }
     context.progress.stage("models", Some(args.models.len() as u64), "models");
+    let mut left_bytes = args.memory;
     let statue = |path: &PathBuf| {
         context.progress.check()?;
-        let model = scenes::read_mesh(path)?.upright(args.up);
+        let model = read_mesh(path, left_bytes)?;
+        left_bytes -= model.held_bytes;
         context.progress.advance(1);
-        Ok(model)
+        Ok(model.mesh.upright(args.up))
     };
     let statues: Vec<Mesh> = args.models.iter().map(statue).collect::<Result<_, Error>>()?;
     Scene::with_statues(args.seed, statues, args.size).map_err(|source| {
         let i = match source {
+            SceneError::TooMany { most, .. } => most,
             SceneError::TooLarge { statue, .. } => statue - 1,
             _ => 0,
         };

@@ -27,6 +27,9 @@ pub struct BuildConfig {
     pub max_level: u8,
     /// Most points of a leaf above the deepest level; 0 makes a full tree.
     pub leaf_capacity: u64,
+    /// How many times the area that its points cover a leaf may stretch over before it is cut
+    /// further, above the deepest level; 0 asks for nothing.
+    pub max_spread: u16,
     /// Which tree.
     pub tree: Shape,
     /// How discs block.
@@ -40,6 +43,7 @@ impl Default for BuildConfig {
         BuildConfig {
             max_level: 8,
             leaf_capacity: 50,
+            max_spread: 0,
             tree: Shape::Binned,
             profile: Profile::Patch,
             interaction: None,
@@ -55,6 +59,8 @@ pub struct RawConfig {
     pub max_level: Option<u8>,
     /// `leaf_capacity`, points.
     pub leaf_capacity: Option<u64>,
+    /// `max_spread`, times, 0 for any.
+    pub max_spread: Option<u16>,
     /// `tree`.
     pub tree: Option<RawTree>,
     /// `profile`.
@@ -132,6 +138,7 @@ impl RawConfig {
         RawConfig {
             max_level: self.max_level.or(below.max_level),
             leaf_capacity: self.leaf_capacity.or(below.leaf_capacity),
+            max_spread: self.max_spread.or(below.max_spread),
             tree: self.tree.or(below.tree),
             profile: self.profile.or(below.profile),
             threads: self.threads.or(below.threads),
@@ -168,6 +175,7 @@ impl RawConfig {
         let config = BuildConfig {
             max_level,
             leaf_capacity: self.leaf_capacity.unwrap_or(defaults.leaf_capacity),
+            max_spread: self.max_spread.unwrap_or(defaults.max_spread),
             tree: match self.tree {
                 None => defaults.tree,
                 Some(RawTree::Binned) => Shape::Binned,

@@ -5,7 +5,7 @@
 //! scan holds. [`Source::read`] then streams any range of records as
 //! [`pvmap_geometry::PointBatch`]es; [`Source::parts`] says where to cut so that several threads
 //! can read at once. [`LasWriter`] and [`PlyWriter`] are the way back. [`read_mesh`] and
-//! [`write_mesh`] do the same for triangles.
+//! [`MeshWriter`] do the same for triangles.
 //!
 //! The room keeps every coordinate and attribute as the file stores it: no grid, no sorting, no
 //! normal estimation. It never allocates by an unchecked word of the file, never holds more than
@@ -24,7 +24,7 @@ pub use error::{ErrorKind, ScanError};
 pub use field::{FieldKind, ScalarField};
 pub use las::laz::is_decoding;
 pub use las::write::{LasContent, LasOptions, LasWriter};
-pub use ply::mesh::{MeshData, read_mesh, write_mesh};
+pub use ply::mesh::{MeshData, MeshMemory, MeshWriter, read_mesh};
 pub use ply::write::{PlyColumns, PlyWriter};
 pub use source::{
     ColorRange, Columns, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, Source,

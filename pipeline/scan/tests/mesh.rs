@@ -6,7 +6,7 @@ mod common;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use pvmap_scan::{ErrorKind, MeshData, read_mesh, write_mesh};
+use pvmap_scan::{ErrorKind, MeshData, MeshMemory, MeshWriter, ScanError};
 
 const TEXT: &str = "ply\nformat ascii 1.0\ncomment of nothing\nelement vertex 4\n\
 property float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\n\
@@ -16,6 +16,10 @@ property list uchar int vertex_index\nend_header\n\
 
 fn file(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     common::file("mesh.ply", bytes)
+}
+
+fn read_mesh(path: &Path) -> Result<MeshData, ScanError> {
+    pvmap_scan::read_mesh(path, MeshMemory::of_mesh(1 << 30))
 }
 
 fn refused(bytes: &[u8]) -> String {
@@ -33,7 +37,7 @@ fn a_written_mesh_comes_back_to_the_last_bit() {
     let (triangles, colors) = ([[0, 1, 2], [3, 2, 1]], [[1, 2, 3], [255, 0, 9]]);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mesh.ply");
-    write_mesh(&path, &corners, &triangles, &colors).unwrap();
+    MeshWriter::create(&path).unwrap().finish(&corners, &triangles, &colors).unwrap();
     let found = read_mesh(&path).unwrap();
     assert_eq!(found.triangles, triangles);
     assert_eq!(found.corners.as_flattened().len(), 12);
@@ -48,6 +52,7 @@ fn text_normals_polygons_and_gzip_are_read() {
         corners: vec![[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.5, 0.0]],
         normals: Some(vec![[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
         triangles: vec![[0, 1, 2], [0, 1, 2], [0, 2, 3]],
+        n_flat_faces: 0,
     };
     let (_folder, path) = file(TEXT.as_bytes());
     assert_eq!(read_mesh(&path).unwrap(), expected);
@@ -60,6 +65,38 @@ fn text_normals_polygons_and_gzip_are_read() {
 }
 
 #[test]
+fn faces_of_fewer_than_three_corners_are_counted_and_left_out() {
+    for (flat, n) in [("7 2 0 1", 1), ("7 0", 1), ("7 1 9", 1), ("7 3 0 1 2", 0)] {
+        let (_folder, path) = file(TEXT.replacen("7 3 0 1 2", flat, 1).as_bytes());
+        let found = read_mesh(&path).unwrap();
+        assert_eq!((found.n_flat_faces, found.triangles.len()), (n, 3 - n as usize), "{flat}");
+    }
+}
+
+#[test]
+fn a_mesh_of_more_than_the_memory_is_refused() {
+    let least = |corner_bytes, triangle_bytes| {
+        let (_folder, path) = file(TEXT.as_bytes());
+        let holds = |total_bytes| {
+            let memory = MeshMemory { total_bytes, corner_bytes, triangle_bytes };
+            match pvmap_scan::read_mesh(&path, memory) {
+                Ok(_) => true,
+                Err(e) => {
+                    let told = e.to_string();
+                    assert!(told.contains("--memory") && told.contains("triangles"), "{told}");
+                    false
+                }
+            }
+        };
+        (0..5000).find(|&bytes| holds(bytes)).unwrap()
+    };
+    // Four corners and, of two faces, three triangles.
+    let bare = least(0, 0);
+    assert_eq!(least(100, 0) - bare, 400);
+    assert_eq!(least(0, 100) - bare, 300);
+}
+
+#[test]
 fn what_is_no_mesh_is_told_in_one_line() {
     let changed = |from: &str, to: &str| refused(TEXT.replacen(from, to, 1).as_bytes());
     assert!(refused(b"").contains("PLY header"));
@@ -68,7 +105,6 @@ fn what_is_no_mesh_is_told_in_one_line() {
     assert!(changed("vertex_index", "corners").contains("no element face"));
     assert!(changed("float z", "float w").contains("no element vertex with x, y and z"));
     assert!(changed("element face 2", "element face 0").contains("no element face"));
-    assert!(changed("7 3 0 1 2", "7 2 0 1").contains("face 0: 2 corners"));
     assert!(changed("7 3 0 1 2", "7 3 0 -1 2").contains("face 0: an index"));
     assert!(changed("element face 2", "element face 3").contains("ends before the last of 3"));
     assert!(refused(&TEXT.as_bytes()[..TEXT.len() - 20]).contains("face"));

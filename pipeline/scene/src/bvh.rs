@@ -16,6 +16,9 @@ pub(crate) struct Bvh {
     order: Vec<u32>,
 }
 
+/// What the tree holds for each surface.
+pub(crate) const SURFACE_BYTES: usize = size_of::<Node>() + size_of::<u32>();
+
 #[derive(Debug, Clone, Copy)]
 struct Node {
     min: Vector,
@@ -31,7 +34,9 @@ impl Bvh {
     /// `margin_m`, which must exceed what rounding does to coordinates of this size.
     pub(crate) fn new(boxes: &[(Vector, Vector)], margin_m: f64) -> Bvh {
         let n = u32::try_from(boxes.len()).expect("a generated scene has fewer than 2^32 surfaces");
-        let mut bvh = Bvh { nodes: Vec::new(), order: (0..n).collect() };
+        // A list that grows is copied. A leaf has two surfaces or more, so fewer nodes do.
+        let nodes = Vec::with_capacity(boxes.len().max(1));
+        let mut bvh = Bvh { nodes, order: (0..n).collect() };
         let mut order = std::mem::take(&mut bvh.order);
         bvh.build(boxes, margin_m, &mut order, 0);
         bvh.order = order;

@@ -84,6 +84,14 @@ pub enum SceneError {
         /// How many triangles there are.
         n_triangles: usize,
     },
+    /// Statues have no room beside each other.
+    #[error("{n_statues} statues, the room holds {most} side by side; give fewer --model")]
+    TooMany {
+        /// How many were given.
+        n_statues: usize,
+        /// How many there may be.
+        most: usize,
+    },
     /// A statue does not fit into its room.
     #[error(
         "statue {statue} does not fit {size_m} m long into the room, {most_m:.2} m is the most; \

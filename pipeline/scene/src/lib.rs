@@ -30,5 +30,5 @@ mod vector;
 
 pub use kind::{SceneError, SceneKind};
 pub use mesh::{Mesh, Up};
-pub use points::{Points, Sample};
+pub use points::{MOST_POINTS, Points, Sample};
 pub use scene::Scene;

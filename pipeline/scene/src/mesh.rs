@@ -185,6 +185,12 @@ fn longest(low: Vector, high: Vector) -> f64 {
 }
 
 impl Scene {
+    /// What [`Scene::mesh`] holds for each corner, at most: a place among the corners and one in
+    /// the table of those known. Each may just have grown: half full, and its last size copied.
+    pub const MESH_CORNER_BYTES: u64 = 3 * size_of::<(Vector, (Vector, u32))>() as u64;
+    /// What it holds for each triangle, at most.
+    pub const MESH_TRIANGLE_BYTES: u64 = 3 * size_of::<([u32; 3], [u8; 3])>() as u64;
+
     /// Gives the scene's exact triangles, its statues' included, and a colour each: surface by
     /// surface, a rectangle as two; what is at one place is one corner.
     ///

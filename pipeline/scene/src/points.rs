@@ -3,6 +3,10 @@
 use crate::Scene;
 use crate::random::{Permutation, bits, unit_pair};
 
+/// The most points of a scene. A surface's first point is the product of an f64 share and their
+/// number, so that with more the last bits of the shares would show.
+pub const MOST_POINTS: u64 = 1 << 40;
+
 /// A place on a surface of a scene, as a scan would record it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
@@ -28,7 +32,7 @@ pub struct Points<'a> {
 }
 
 impl Scene {
-    /// Samples `n` points, 0 ≤ n ≤ 2^40, in a scanner's order. Nothing is computed yet.
+    /// Samples `n` points, 0 ≤ n ≤ [`MOST_POINTS`], in a scanner's order. Nothing is computed yet.
     pub fn points(&self, n: u64) -> Points<'_> {
         Points { scene: self, n, order: None }
     }
@@ -81,11 +85,18 @@ impl Points<'_> {
 fn jittered(j: u64, k: u64, aspect: f64, chance: [f64; 2]) -> [f64; 2] {
     let rows = ((k as f64 * aspect).sqrt() as u64).clamp(1, k);
     // Row i begins with point ⌊i·k/rows⌋ and is as high as it has points, so cells are alike.
-    let row = ((j + 1) * rows - 1) / k;
-    let (begin, end) = (row * k / rows, (row + 1) * k / rows);
+    let row = times(j + 1, rows, 1, k);
+    let (begin, end) = (times(row, k, 0, rows), times(row + 1, k, 0, rows));
     let column = if row.is_multiple_of(2) { j - begin } else { end - 1 - j };
     let in_row = (end - begin) as f64;
     [(column as f64 + chance[0]) / in_row, (begin as f64 + chance[1] * in_row) / k as f64]
+}
+
+/// Gives ⌊(a·b - less) / by⌋, below 2^64; a·b itself need not be: a long triangle that many places
+/// are asked of has a row for each.
+#[inline]
+fn times(a: u64, b: u64, less: u64, by: u64) -> u64 {
+    ((u128::from(a) * u128::from(b) - u128::from(less)) / u128::from(by)) as u64
 }
 
 #[cfg(test)]
@@ -107,6 +118,25 @@ mod tests {
                 assert!(off < 1e-14 * 32.0, "{kind} point {i} is {off} m off");
                 let normal = sample.normal.map(f64::from);
                 assert!((dot(normal, normal) - 1.0).abs() < 3e-7, "{kind} point {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_corridor_is_sampled_to_its_end_with_the_most_points() {
+        // Three metres wide, so long that every place has a row of its own.
+        let corners = vec![[0.0; 3], [3.0, 0.0, 0.0], [0.0, 0.0, 9e12]];
+        let mesh = crate::Mesh::new(corners, None, vec![[0, 1, 2]]).unwrap();
+        let corridor = Scene::of_mesh(&mesh, 1);
+        let points = corridor.points(MOST_POINTS);
+        for index in [0, 1, MOST_POINTS / 2, MOST_POINTS - 2, MOST_POINTS - 1] {
+            let [x, y, z] = points.at(index).position;
+            assert!(x >= 0.0 && y == 0.0 && z >= 0.0 && x / 3.0 + z / 9e12 < 1.0 + 1e-9);
+        }
+        for (k, aspect) in [(MOST_POINTS, 1e13), (MOST_POINTS, 1.0), (MOST_POINTS - 1, 1e-13)] {
+            for j in [0, k / 3, k - 1] {
+                let [u, v] = jittered(j, k, aspect, [0.5; 2]);
+                assert!(u > 0.0 && u < 1.0 && v > 0.0 && v < 1.0, "{u} {v}");
             }
         }
     }

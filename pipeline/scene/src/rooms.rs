@@ -32,11 +32,14 @@ const SPHERE_CENTRE_M: Vector = [3.9, 1.8, SPHERE_RADIUS_M];
 pub(crate) const STATUE_M: f64 = 3.0;
 /// How far statues stay from the walls, the ceiling and half way from each other.
 const STATUE_GAP_M: f64 = 0.25;
+/// The most statues in a room: an eleventh would leave nothing of their parts but the gaps.
+pub(crate) const MOST_STATUES: usize = 10;
 /// What statues are made of, one after the other: grey stone, weathered bronze, sandstone.
 const STATUES: [Paint; 3] =
     [Paint::Plain([168, 160, 150]), Paint::Plain([112, 138, 124]), Paint::Plain([206, 172, 122])];
 
-/// Gives the middle of the foot of statue `i` of `n`, and the sides of the space it may fill.
+/// Gives the middle of the foot of statue `i` of `n` ≤ [`MOST_STATUES`], and the sides of the
+/// space it may fill, all above 0.
 pub(crate) fn place_of_statue(i: usize, n: usize) -> ([f64; 2], Vector) {
     let part_m = SIDE_M / n as f64;
     let space_m = [part_m - 2.0 * STATUE_GAP_M, SIDE_M - 2.0 * STATUE_GAP_M, SIDE_M - STATUE_GAP_M];

@@ -1,11 +1,12 @@
 //! A scene: its surfaces and what is precomputed over them.
 
-use crate::bvh::Bvh;
+use crate::bvh::{self, Bvh};
 use crate::kind::{SceneError, SceneKind};
 use crate::mesh::Mesh;
 use crate::paint::Paint;
 use crate::random::bits;
 use crate::shape::Shape;
+use crate::vector::Vector;
 use crate::{cave, rooms};
 
 /// A piece of surface with its paint.
@@ -40,6 +41,12 @@ pub struct Scene {
 const BOX_MARGIN: f64 = 1e-9;
 
 impl Scene {
+    /// What a scene holds for each triangle, at most, while it is built and after.
+    pub const TRIANGLE_BYTES: u64 = (size_of::<Surface>()
+        + size_of::<(Vector, Vector)>()
+        + size_of::<f64>()
+        + bvh::SURFACE_BYTES) as u64;
+
     /// Builds the scene.
     pub fn new(kind: SceneKind, seed: u64) -> Scene {
         let key = bits(seed, kind as u64);
@@ -60,15 +67,20 @@ impl Scene {
     /// The floor below is sampled like the rest.
     ///
     /// # Errors
-    /// [`SceneError::TooLarge`] where a statue does not fit.
+    /// [`SceneError::TooMany`] for more than ten, [`SceneError::TooLarge`] where one does not fit.
     pub fn with_statues(
         seed: u64,
         statues: Vec<Mesh>,
         size_m: Option<f64>,
     ) -> Result<Scene, SceneError> {
-        let mut surfaces = rooms::empty();
-        let mut group_ends = vec![surfaces.len()];
         let n = statues.len();
+        if n > rooms::MOST_STATUES {
+            return Err(SceneError::TooMany { n_statues: n, most: rooms::MOST_STATUES });
+        }
+        let mut surfaces = rooms::empty();
+        // A list that grows is copied.
+        surfaces.reserve_exact(statues.iter().map(|statue| statue.triangles().len()).sum());
+        let mut group_ends = vec![surfaces.len()];
         for (i, statue) in statues.into_iter().enumerate() {
             let (foot_m, space_m) = rooms::place_of_statue(i, n);
             let most_m = statue.fit_m(space_m);

@@ -105,6 +105,27 @@ fn what_does_not_fit_is_told() {
 }
 
 #[test]
+fn ten_statues_stand_side_by_side_and_not_one_more() {
+    let statues = |n| vec![roof().upright(Up::Y); n];
+    let scene = Scene::with_statues(1, statues(10), None).unwrap();
+    assert_eq!(scene.n_parts(), 11);
+    let corners = scene.mesh().unwrap().0;
+    let (low, high) = corners.bounds();
+    assert_eq!((low, high), ([0.0; 3], [5.5; 3]), "none stands in a wall");
+    // Of 0.55 m each has what its gaps of 0.25 m leave.
+    let Err(SceneError::TooLarge { statue: 1, most_m, .. }) =
+        Scene::with_statues(1, statues(10), Some(0.06))
+    else {
+        panic!("0.06 m are more than 5.5 m / 10 - 0.5 m");
+    };
+    assert!((most_m - 0.05).abs() < 1e-12, "{most_m}");
+    for n in [11, 12] {
+        let found = Scene::with_statues(1, statues(n), None).map(|s| s.n_surfaces());
+        assert_eq!(found, Err(SceneError::TooMany { n_statues: n, most: 10 }));
+    }
+}
+
+#[test]
 fn points_are_shared_out_as_asked() {
     let scene = two();
     assert_eq!(scene.n_parts(), 3);

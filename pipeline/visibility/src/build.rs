@@ -38,6 +38,8 @@ pub struct BuildOptions {
     pub max_level: u8,
     /// Most points of a leaf above the deepest level; 0 makes a full tree.
     pub leaf_capacity: u64,
+    /// How many times the area that its points cover a leaf may stretch over; 0 asks for nothing.
+    pub max_spread: u16,
     /// Which tree.
     pub shape: Shape,
     /// How discs block.
@@ -352,6 +354,6 @@ fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
             pairs.iter().flat_map(|&(a, b)| [a.to_le_bytes(), b.to_le_bytes()].concat()).collect();
         (pairs.len() as u32, xxhash_rust::xxh3::xxh3_128(&rows))
     });
-    let BuildOptions { max_level, leaf_capacity, shape, profile, .. } = *options;
-    config_text(max_level, leaf_capacity, shape, profile, pairs)
+    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, .. } = *options;
+    config_text(max_level, leaf_capacity, max_spread, shape, profile, pairs)
 }

@@ -430,6 +430,7 @@ pub fn close_map(sections: &[Written]) -> Closing {
 pub fn config_text(
     max_level: u8,
     leaf_capacity: u64,
+    max_spread: u16,
     shape: crate::Shape,
     profile: pvmap_geometry::disc::Profile,
     pairs: Option<(u32, u128)>,
@@ -448,6 +449,9 @@ pub fn config_text(
         "max_level = {max_level}\nleaf_capacity = {leaf_capacity}\n\
          tree = \"{tree}\"\nprofile = \"{profile}\"\n"
     );
+    if max_spread > 0 {
+        text.push_str(&format!("max_spread = {max_spread}\n"));
+    }
     if let Some((n, digest)) = pairs {
         text.push_str(&format!("interaction_pairs = \"{n}:{digest:032x}\"\n"));
     }
@@ -466,7 +470,15 @@ fn canonical_config(text: &str) -> Option<String> {
         _ => return None,
     };
     let profile = profile_of(lines.next()?)?;
-    let pairs = match lines.next() {
+    let mut next = lines.next();
+    let max_spread = match next.and_then(|line| line.strip_prefix("max_spread = ")) {
+        Some(value) => {
+            next = lines.next();
+            value.parse().ok()?
+        }
+        None => 0,
+    };
+    let pairs = match next {
         Some(line) => {
             let value = line.strip_prefix("interaction_pairs = \"")?.strip_suffix('"')?;
             let (n, digest) = value.split_once(':')?;
@@ -475,7 +487,7 @@ fn canonical_config(text: &str) -> Option<String> {
         None => None,
     };
     let is_level = (1..=morton::MAX_LEVEL).contains(&max_level);
-    is_level.then(|| config_text(max_level, leaf_capacity, shape, profile, pairs))
+    is_level.then(|| config_text(max_level, leaf_capacity, max_spread, shape, profile, pairs))
 }
 
 /// Reads the profile out of a canonical configuration text.

@@ -7,9 +7,9 @@ use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Shape, Split, Surfel};
 
 use super::budget::{Blocks, Budget};
-use super::checked_id;
 use super::leaf::LeafPoints;
 use super::points::{LeafPoint, Reader};
+use super::{checked_id, spread};
 use crate::OctreeError;
 
 /// What every cutter of a tree goes by.
@@ -17,6 +17,7 @@ use crate::OctreeError;
 pub(super) struct Rules {
     pub(super) max_level: u8,
     pub(super) leaf_capacity: u64,
+    pub(super) max_spread: u16,
     pub(super) shape: Shape,
     /// Points that a cutter may hold; a cell of more is read again when they are needed.
     pub(super) max_held: usize,
@@ -178,17 +179,36 @@ impl<'a> Cutter<'a> {
 
     /// Makes the pending cell a leaf, or quadrant leaves where its normals stray.
     fn settle(&mut self) -> Result<(), OctreeError> {
+        // Dividing a cell settles all of its parts but the last, which is pending then.
+        while self.is_spread()? {
+            self.split()?;
+        }
         let mut cell = std::mem::take(&mut self.pending);
         if cell.n_points > 0 {
-            let points = match cell.is_held() {
-                true => LeafPoints::held(&cell.held, self.bin),
-                false => LeafPoints::stored(self.reader, cell.indices.clone(), self.bin),
-            };
-            self.add_leaves(&cell, &points)?;
+            self.add_leaves(&cell, &self.points_of(&cell))?;
         }
         cell.held.clear();
         self.pending.held = cell.held;
         Ok(())
+    }
+
+    /// Says whether the pending cell has few points, and these are too far apart for one leaf.
+    fn is_spread(&self) -> Result<bool, OctreeError> {
+        let (cell, most) = (&self.pending, self.rules.max_spread);
+        let may_be = most > 0
+            && cell.level < self.rules.max_level
+            && spread::N_POINTS.contains(&cell.n_points);
+        Ok(may_be && spread::is_spread(self.points_of(cell).places()?, most))
+    }
+
+    fn points_of<'c>(&self, cell: &'c Cell) -> LeafPoints<'c>
+    where
+        'a: 'c,
+    {
+        match cell.is_held() {
+            true => LeafPoints::held(&cell.held, self.bin),
+            false => LeafPoints::stored(self.reader, cell.indices.clone(), self.bin),
+        }
     }
 
     fn add_leaves(&mut self, cell: &Cell, points: &LeafPoints<'_>) -> Result<(), OctreeError> {

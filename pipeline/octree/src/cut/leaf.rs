@@ -78,6 +78,16 @@ impl<'a> LeafPoints<'a> {
         Ok(if splits { quadrants } else { Vec::new() })
     }
 
+    /// Gives where the points are.
+    ///
+    /// # Errors
+    /// Those of [`Reader::each`].
+    pub(super) fn places(&self) -> Result<Vec<GridPoint>, OctreeError> {
+        let mut places = Vec::new();
+        self.each(|p| places.push(p.key.g))?;
+        Ok(places)
+    }
+
     /// Makes the surfel of a leaf of at least one point.
     ///
     /// Its patch box and R² are those of the points alone, and its half spacing is 0 below four

@@ -2,7 +2,8 @@
 //!
 //! One pass reads the points in windows (`points`) and hands them to one `cells` cutter a bin
 //! (one in all for `paper`), which holds no more than the points of one unsettled cell; the points
-//! of a settled leaf become a surfel (`leaf`), or several where their normals stray. What only
+//! of a settled leaf become a surfel (`leaf`), or several where their normals stray; where they are
+//! spread thin (`spread`) they go on to smaller cells. What only
 //! the whole tree knows is filled in at the end: the spacing of small leaves (`spacing`), and how
 //! far patches leave their cells.
 //!
@@ -14,6 +15,7 @@ mod color;
 mod leaf;
 mod points;
 mod spacing;
+mod spread;
 #[cfg(test)]
 mod tests;
 
@@ -36,6 +38,9 @@ pub struct CutOptions {
     pub max_level: u8,
     /// The points up to which a cell is a leaf; 0 gives a full tree.
     pub leaf_capacity: u64,
+    /// How many times the area that its points cover a leaf above `max_level` may stretch over;
+    /// 0 asks for nothing.
+    pub max_spread: u16,
     /// Which of the two trees.
     pub shape: Shape,
     /// Which radius the surfels get: `Patch` raises R² to h².
@@ -113,6 +118,7 @@ fn cutters<'a>(
     let rules = Rules {
         max_level: options.max_level,
         leaf_capacity: options.leaf_capacity,
+        max_spread: options.max_spread,
         shape: options.shape,
         max_held: (held_bytes / size_of::<LeafPoint>() as u64) as usize,
     };

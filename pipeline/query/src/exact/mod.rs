@@ -15,7 +15,7 @@ use std::num::NonZero;
 use pvmap_geometry::disc::{Disc, faces_both};
 use pvmap_geometry::normal::Normal;
 use pvmap_geometry::{Box3, Frame, GridPoint};
-use pvmap_vmap::OctreeView;
+use pvmap_vmap::{MapView, OctreeView};
 use rayon::prelude::*;
 
 use self::cells::Cells;
@@ -30,6 +30,18 @@ use crate::map::Map;
 const MAX_DELTA_GRID: u32 = (1 << 23) - 1;
 /// Limits nothing: every place of a segment of the cube is inside.
 const ANYWHERE: Box3 = Box3 { min: [0; 3], max: [1 << 22; 3] };
+
+/// Checks that a map was made from an octree, by the digest it names, the number of its points and
+/// where they lie: points that are alike but elsewhere have the same digest. [D-2], [D-8]
+///
+/// # Errors
+/// [`QueryError::OtherOctree`] where it was not.
+pub fn check_pair(map: &MapView<'_>, octree: &OctreeView<'_>) -> Result<(), QueryError> {
+    let (of, from) = (map.summary(), octree.summary());
+    let same = (of.digest, of.n_points) == (from.digest, from.n_points)
+        && map.frame().frame == octree.frame().frame;
+    same.then_some(()).ok_or(QueryError::OtherOctree)
+}
 
 /// What the user decides about the atomic test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -172,13 +184,12 @@ impl<'v, 'a> Exact<'v, 'a> {
         self.options
     }
 
-    /// Checks that a map was made from this octree, by the digest it names. [D-8]
+    /// Checks that a map was made from this octree, see [`check_pair`].
     ///
     /// # Errors
     /// [`QueryError::OtherOctree`] where it was not.
     pub fn require_map(&self, map: &Map<'_>) -> Result<(), QueryError> {
-        let same = map.view().summary().digest == self.octree.summary().digest;
-        same.then_some(()).ok_or(QueryError::OtherOctree)
+        check_pair(map.view(), self.octree)
     }
 
     /// Reads a point by its place in the order of the octree.

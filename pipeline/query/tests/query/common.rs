@@ -220,7 +220,7 @@ impl Parts {
             n_visible_pairs: links.iter().map(|&l| n_leaf_pairs(tree, l)).sum(),
             digest: 7,
         };
-        let config = config_text(21, 1, Shape::Binned, profile, given.then_some((3, 5)));
+        let config = config_text(21, 1, 0, Shape::Binned, profile, given.then_some((3, 5)));
         let frame = FrameRecord { frame, crs_kind: CrsKind::None };
         let contents = [
             (MapSummary::BYTES, summary.to_bytes()),

@@ -12,7 +12,7 @@ use ply_rs::ply::{
     Addable, DefaultElement, ElementDef, Encoding, Header, Property, PropertyAccess,
     PropertyAccessResult, PropertyDef, PropertyType, ScalarType,
 };
-use pvmap_store::{AtomicFile, InputFile, StoreError};
+use pvmap_store::{AtomicFile, InputFile, StoreError, memory};
 
 use crate::bytes::Window;
 use crate::error::{ScanError, escaped};
@@ -36,13 +36,53 @@ pub struct MeshData {
     /// Indices of corners; a face of more than three corners becomes a fan of triangles. Nobody
     /// has checked that the corners are there.
     pub triangles: Vec<[u32; 3]>,
+    /// Faces of fewer than three corners, which some tools write. They hide nothing and are left
+    /// out.
+    pub n_flat_faces: u64,
+}
+
+/// What the reader of a mesh, and who it is read for, may hold of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeshMemory {
+    /// In all.
+    pub total_bytes: u64,
+    /// What else will be held for each corner.
+    pub corner_bytes: u64,
+    /// What else will be held for each triangle.
+    pub triangle_bytes: u64,
+}
+
+impl MeshMemory {
+    /// Takes bytes for nothing but the mesh as it was read.
+    pub fn of_mesh(total_bytes: u64) -> MeshMemory {
+        MeshMemory { total_bytes, corner_bytes: 0, triangle_bytes: 0 }
+    }
+
+    /// Gives what is needed for a mesh.
+    pub fn needed(&self, mesh: &MeshData) -> u64 {
+        self.needed_for(mesh.corners.len() as u64, mesh.triangles.len() as u64)
+    }
+
+    fn needed_for(&self, n_corners: u64, n_triangles: u64) -> u64 {
+        // Twice, for a list that grows is copied.
+        let corner = 2 * size_of::<Vertex>() as u64 + self.corner_bytes;
+        let triangle = 2 * size_of::<[u32; 3]>() as u64 + self.triangle_bytes;
+        n_corners.saturating_mul(corner).saturating_add(n_triangles.saturating_mul(triangle))
+    }
+
+    /// Refuses a mesh of so many corners and triangles where that is too much.
+    fn require(&self, n_corners: u64, n_triangles: u64) -> Result<(), StoreError> {
+        let need_bytes = self.needed_for(n_corners, n_triangles);
+        memory::require("the triangles of a mesh", need_bytes, self.total_bytes)
+    }
 }
 
 /// Reads corners and triangles of a PLY file.
 ///
 /// # Errors
-/// Where the file cannot be read, is no PLY file, is cut short or has no corners or no faces.
-pub fn read_mesh(path: &Path) -> Result<MeshData, ScanError> {
+/// Where the file cannot be read, is no PLY file, is cut short, has no corners or no faces or more
+/// than `memory` holds.
+pub fn read_mesh(path: &Path, memory: MeshMemory) -> Result<MeshData, ScanError> {
     let file = InputFile::open(path)?;
     let mut magic = [0; 2];
     if file.len_bytes() >= 2 {
@@ -51,22 +91,49 @@ pub fn read_mesh(path: &Path) -> Result<MeshData, ScanError> {
     let bytes = Window::new(&file, 0, file.len_bytes());
     let stream: Box<dyn Read + '_> =
         if magic == GZIP { Box::new(MultiGzDecoder::new(bytes)) } else { Box::new(bytes) };
-    let mut input = Reader::new(BufReader::with_capacity(1 << 18, stream.take(MOST_BYTES)));
     let len_bytes = (magic != GZIP).then_some(file.len_bytes());
-    read(&mut input, len_bytes).map_err(|(place, problem)| match file.failure() {
-        Some(failure) => failure.into(),
-        None => ScanError::header(path, place, problem),
+    read(&mut input(stream, MOST_BYTES), len_bytes, memory).map_err(|problem| {
+        match (file.failure(), problem) {
+            (Some(failure), _) => failure.into(),
+            (None, Problem::Broken(place, problem)) => ScanError::header(path, place, problem),
+            (None, Problem::TooLarge(e)) => e.into(),
+        }
     })
 }
 
 type Input<'a> = Reader<BufReader<Take<Box<dyn Read + 'a>>>>;
 
-/// What is wrong, and in which part of the file.
-type Problem = (&'static str, String);
+/// Makes the input of a file of at most `most_bytes`. One byte more is read, if there is one, so
+/// that a file of just so many which is cut short is not taken for a longer one.
+fn input(stream: Box<dyn Read + '_>, most_bytes: u64) -> Input<'_> {
+    Reader::new(BufReader::with_capacity(1 << 18, stream.take(most_bytes + 1)))
+}
+
+enum Problem {
+    /// What is wrong, and in which part of the file.
+    Broken(&'static str, String),
+    TooLarge(StoreError),
+}
+
+impl From<StoreError> for Problem {
+    fn from(e: StoreError) -> Problem {
+        Problem::TooLarge(e)
+    }
+}
+
+impl From<String> for Problem {
+    fn from(problem: String) -> Problem {
+        Problem::Broken("PLY body", problem)
+    }
+}
 
 /// Reads a mesh from its first byte on; `len_bytes` is its length where that is known.
-fn read(input: &mut Input<'_>, len_bytes: Option<u64>) -> Result<MeshData, Problem> {
-    let broken = |problem: String| ("PLY header", problem);
+fn read(
+    input: &mut Input<'_>,
+    len_bytes: Option<u64>,
+    memory: MeshMemory,
+) -> Result<MeshData, Problem> {
+    let broken = |problem: String| Problem::Broken("PLY header", problem);
     let header =
         Parser::<DefaultElement>::new().read_header(input).map_err(|e| broken(told(&e)))?;
     for element in header.elements.values() {
@@ -85,6 +152,8 @@ fn read(input: &mut Input<'_>, len_bytes: Option<u64>) -> Result<MeshData, Probl
     if !faces.is_some_and(|e| e.properties.values().any(|p| is_corners(&p.name) && is_list(p))) {
         return Err(broken("not a mesh: no element face with vertex_indices".to_owned()));
     }
+    let count = |name: &str| header.elements.get(name).map_or(0, |e| e.count as u64);
+    memory.require(count("vertex"), count("face"))?;
     let mut mesh = MeshData::default();
     let mut normals = Vec::new();
     for (name, element) in &header.elements {
@@ -94,11 +163,15 @@ fn read(input: &mut Input<'_>, len_bytes: Option<u64>) -> Result<MeshData, Probl
                 normals.push(vertex.normal);
                 Ok(())
             }),
-            "face" => rows(input, element, &header, |face: Face| fan(&face, &mut mesh.triangles)),
+            "face" => rows(input, element, &header, |face: Face| {
+                fan(&face, &mut mesh)?;
+                Ok(memory.require(mesh.corners.len() as u64, mesh.triangles.len() as u64)?)
+            }),
             _ => rows(input, element, &header, |Skipped| Ok(())),
-        }
-        .map_err(|problem| ("PLY body", problem))?;
+        }?;
     }
+    // Once more, for faces may come before the corners.
+    memory.require(mesh.corners.len() as u64, mesh.triangles.len() as u64)?;
     mesh.normals = has("vertex", &["nx", "ny", "nz"]).then_some(normals);
     Ok(mesh)
 }
@@ -143,8 +216,8 @@ fn rows<E: PropertyAccess>(
     input: &mut Input<'_>,
     element: &ElementDef,
     header: &Header,
-    mut each: impl FnMut(E) -> Result<(), String>,
-) -> Result<(), String> {
+    mut each: impl FnMut(E) -> Result<(), Problem>,
+) -> Result<(), Problem> {
     let parser = Parser::<E>::new();
     let mut batch = element.clone();
     let mut left = element.count;
@@ -152,9 +225,12 @@ fn rows<E: PropertyAccess>(
         batch.count = left.min(BATCH_ROWS);
         let read = parser.read_payload_for_element(input, &batch, header);
         for (row, at) in read.map_err(|e| unread(&e, input, element))?.into_iter().zip(0..) {
-            each(row).map_err(|e| {
-                let number: usize = element.count - left + at;
-                format!("{} {number}: {e}", element.name)
+            each(row).map_err(|e| match e {
+                Problem::Broken(place, problem) => {
+                    let number: usize = element.count - left + at;
+                    Problem::Broken(place, format!("{} {number}: {problem}", element.name))
+                }
+                too_large => too_large,
             })?;
         }
         left -= batch.count;
@@ -181,12 +257,10 @@ fn told(e: &ParseError) -> String {
 }
 
 /// Cuts a face into triangles.
-fn fan(face: &Face, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+fn fan(face: &Face, mesh: &mut MeshData) -> Result<(), String> {
     let corners = face.0.as_deref().ok_or("an index of a corner is negative or no whole number")?;
-    if corners.len() < 3 {
-        return Err(format!("{} corners, expected at least 3", corners.len()));
-    }
-    triangles.extend((2..corners.len()).map(|i| [corners[0], corners[i - 1], corners[i]]));
+    mesh.n_flat_faces += u64::from(corners.len() < 3);
+    mesh.triangles.extend((2..corners.len()).map(|i| [corners[0], corners[i - 1], corners[i]]));
     Ok(())
 }
 
@@ -266,43 +340,69 @@ impl PropertyAccess for Skipped {
 
 /// Writes a mesh as a binary PLY file that appears under its name when it is whole: corners as
 /// `double`, so that they are read back to the last bit, a colour a triangle.
-///
-/// # Errors
-/// Where the file cannot be written or there are 2^31 corners or more.
-///
-/// # Panics
-/// Where there are not as many colours as triangles.
-pub fn write_mesh(
-    path: &Path,
+pub struct MeshWriter {
+    file: AtomicFile,
+}
+
+impl MeshWriter {
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// Where it cannot be created.
+    pub fn create(path: &Path) -> Result<MeshWriter, ScanError> {
+        Ok(MeshWriter { file: AtomicFile::create(path)? })
+    }
+
+    /// Writes everything and gives the file its name.
+    ///
+    /// # Errors
+    /// Where the disk fails or there are 2^31 corners or more.
+    ///
+    /// # Panics
+    /// Where there are not as many colours as triangles.
+    pub fn finish(
+        self,
+        corners: &[[f64; 3]],
+        triangles: &[[u32; 3]],
+        colors: &[[u8; 3]],
+    ) -> Result<(), ScanError> {
+        assert_eq!(triangles.len(), colors.len(), "a colour a triangle");
+        let path = self.file.path().to_path_buf();
+        if i32::try_from(corners.len()).is_err() {
+            // Readers take indices for i32.
+            let problem = format!("{} corners, a PLY mesh has fewer than 2^31", corners.len());
+            return Err(ScanError::Write { path, problem });
+        }
+        let mut out = BufWriter::with_capacity(1 << 20, self.file);
+        write_rows(&mut out, corners, triangles, colors)
+            .map_err(|e| StoreError::io(&path, "write", e))?;
+        let file = out.into_inner().map_err(|e| StoreError::io(&path, "write", e.into_error()))?;
+        Ok(file.commit()?)
+    }
+}
+
+fn write_rows(
+    out: &mut impl Write,
     corners: &[[f64; 3]],
     triangles: &[[u32; 3]],
     colors: &[[u8; 3]],
-) -> Result<(), ScanError> {
-    assert_eq!(triangles.len(), colors.len(), "a colour a triangle");
-    if i32::try_from(corners.len()).is_err() {
-        // Readers take indices for i32.
-        let problem = format!("{} corners, a PLY mesh has fewer than 2^31", corners.len());
-        return Err(ScanError::Write { path: path.to_path_buf(), problem });
-    }
-    let fail = |e| StoreError::io(path, "write", e);
-    let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+) -> io::Result<()> {
     ply_rs::writer::Writer::<DefaultElement>::new()
-        .write_header(&mut out, &mesh_header(corners.len(), triangles.len()))
-        .map_err(|e| fail(io::Error::other(e)))?;
+        .write_header(out, &mesh_header(corners.len(), triangles.len()))
+        .map_err(io::Error::other)?;
     for corner in corners {
         for c in corner {
-            out.write_all(&c.to_le_bytes()).map_err(fail)?;
+            out.write_all(&c.to_le_bytes())?;
         }
     }
     for (triangle, color) in triangles.iter().zip(colors) {
-        out.write_all(&[3]).map_err(fail)?;
+        out.write_all(&[3])?;
         for corner in triangle {
-            out.write_all(&corner.to_le_bytes()).map_err(fail)?;
+            out.write_all(&corner.to_le_bytes())?;
         }
-        out.write_all(color).map_err(fail)?;
+        out.write_all(color)?;
     }
-    let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
-    Ok(file.commit()?)
+    Ok(())
 }
 
 fn mesh_header(n_corners: usize, n_triangles: usize) -> Header {
@@ -323,4 +423,37 @@ fn mesh_header(n_corners: usize, n_triangles: usize) -> Header {
     let face = vec![corners, byte("red"), byte("green"), byte("blue")];
     header.elements.add(element("face", n_triangles, face));
     header
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Says what is wrong with a file of which at most `most_bytes` are read.
+    fn problem(bytes: &[u8], most_bytes: u64) -> Option<String> {
+        let memory = MeshMemory::of_mesh(1 << 20);
+        match read(&mut input(Box::new(bytes), most_bytes), None, memory) {
+            Ok(_) => None,
+            Err(Problem::Broken(_, problem)) => Some(problem),
+            Err(Problem::TooLarge(e)) => Some(e.to_string()),
+        }
+    }
+
+    #[test]
+    fn a_mesh_of_the_most_bytes_is_whole_cut_short_or_too_long() {
+        let mut file = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n\
+            property float x\nproperty float y\nproperty float z\nelement face 2\n\
+            property list uchar int vertex_indices\nend_header\n"
+            .to_vec();
+        file.extend([0; 36]);
+        file.extend([3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0].repeat(2));
+        let most = file.len() as u64;
+        assert_eq!(problem(&file, most), None);
+        let cut = &file[..file.len() - 1];
+        let ends = "ends before the last of 2 rows of face";
+        for most in [most, most - 1] {
+            assert_eq!(problem(cut, most).as_deref(), Some(ends));
+        }
+        assert_eq!(problem(cut, most - 2).as_deref(), Some("is longer than 1 GiB"));
+    }
 }

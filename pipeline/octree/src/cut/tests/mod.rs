@@ -49,7 +49,7 @@ impl TestPoint {
 
 /// Options with profile `patch`.
 fn options(shape: Shape, max_level: u8, leaf_capacity: u64) -> CutOptions {
-    CutOptions { max_level, leaf_capacity, shape, profile: Profile::Patch }
+    CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile: Profile::Patch }
 }
 
 /// Cuts a cloud of which every source has 8-bit colour.

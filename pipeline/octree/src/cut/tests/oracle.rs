@@ -1,6 +1,6 @@
 //! The tree as DESIGN.md §3 words it: recursion over vectors of points, wide integers, no haste.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::Normal;
@@ -49,7 +49,8 @@ struct Oracle {
 
 impl Oracle {
     fn octree(&mut self, points: &[TestPoint], cell: Cell, parent: u32, slot: u8) {
-        let fits = points.len() as u64 <= self.options.leaf_capacity;
+        let fits = points.len() as u64 <= self.options.leaf_capacity
+            && !is_spread(points, self.options.max_spread);
         if fits || cell.level == self.options.max_level {
             return self.leaf(points, cell, parent, slot);
         }
@@ -314,4 +315,30 @@ fn dot(a: [i128; 3], b: [i128; 3]) -> i128 {
 
 fn square(v: i128) -> i128 {
     v * v
+}
+
+/// Says whether the box of few places is many times larger than what they cover.
+fn is_spread(points: &[TestPoint], most: u16) -> bool {
+    let places: BTreeSet<[u32; 3]> = points.iter().map(|p| p.g).collect();
+    let m = places.len();
+    if most == 0 || m < 4 || points.len() > 4096 {
+        return false;
+    }
+    let of = |p: &[u32; 3]| p.map(i128::from);
+    let mut near: Vec<i128> = places
+        .iter()
+        .map(|a| {
+            let others = places.iter().filter(|b| *b != a);
+            let d2 = |b| (0..3).map(|i| square(of(a)[i] - of(b)[i])).sum();
+            others.map(d2).min().expect("three others")
+        })
+        .collect();
+    near.sort_unstable();
+    let s = root(9 * near[(m - 1) / 2] / 4);
+    let mut e = [0, 1, 2].map(|i| {
+        let axis = || places.iter().map(|p| of(p)[i]);
+        axis().max().expect("four") - axis().min().expect("four")
+    });
+    e.sort_unstable();
+    (e[2] + s) * (e[1] + s) > i128::from(most) * m as i128 * s * s
 }

@@ -62,12 +62,15 @@ pub(super) fn check_routes(cloud: &[TestPoint], tree: &Tree) {
 /// All shapes and profiles at a random capacity and level.
 fn random_options(rng: &mut Rng) -> impl Iterator<Item = CutOptions> {
     let max_level = if rng.u8(..7) == 0 { 21 } else { rng.u8(1..=6) };
-    let leaf_capacity = rng.u64(0..=5);
+    // Only leaves of four points and more can be spread.
+    let max_spread = [0, 1, 3][rng.usize(..3)];
+    let leaf_capacity = rng.u64(0..=if max_spread > 0 { 20 } else { 5 });
     let both = [Shape::Paper, Shape::Binned];
     both.into_iter().flat_map(move |shape| {
         [Profile::Paper, Profile::Patch].map(|profile| CutOptions {
             max_level,
             leaf_capacity,
+            max_spread,
             shape,
             profile,
         })
