@@ -1,6 +1,7 @@
 //! From a map back onto the user's own points: joins the tree of `vmap`, the answers of `query`,
 //! the way back of `octree` and the writers of `scan`.
 
+mod begin;
 mod fields;
 mod output;
 mod seen;
@@ -12,16 +13,17 @@ use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::{BySource, temporary_bytes};
 use pvmap_query::{Map, QueryError, Snap};
 use pvmap_store::output::folder_of;
-use pvmap_store::{Mapped, StoreError, Watch, memory};
+use pvmap_store::{ClosedFile, Mapped, StoreError, Watch, memory};
 use pvmap_vmap::octree::{FILE_NAME, Point};
 use pvmap_vmap::{MapView, OctreeView, Router};
 
 use crate::build::open_octree;
 use crate::{Error, Limits};
+pub use begin::{Made, begin_file, begin_table};
 pub use fields::PointField;
 use fields::Values;
-use output::Output;
-pub use surfels::export_surfels;
+pub use output::PointsFile;
+pub use surfels::{export_surfels, write_surfels};
 
 /// Which points to write where, and what to say of them.
 #[derive(Debug, Clone)]
@@ -32,6 +34,8 @@ pub struct ExportRequest {
     pub octree: PathBuf,
     /// The file to make; its ending (.las, .laz, .ply) says how.
     pub output: PathBuf,
+    /// Whether a file of that name may be replaced that no export made.
+    pub overwrite: bool,
     /// What each point gets beside what it has.
     pub fields: Vec<PointField>,
     /// How far from a surface the places of fields may be.
@@ -57,20 +61,35 @@ pub struct Exported {
 ///
 /// # Errors
 /// Where an artifact is damaged, the map is not one of the octree, a field's place is not on a
-/// surface, the output has another ending or the name of a scan the octree was made from, the disk
-/// fails or is too small, the budget is too small, or the run is asked to stop; nothing is left
-/// behind then.
+/// surface, the output has another ending or would replace what no export made, the disk fails or
+/// is too small, the budget is too small, or the run is asked to stop; nothing is left behind then.
 pub fn export_points(
     request: &ExportRequest,
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<Exported, Error> {
+    let output = PointsFile::begin(&request.output, request.overwrite)?;
+    let (done, file) = write_points(request, output, limits, watch)?;
+    file.publish(false)?;
+    Ok(done)
+}
+
+/// Does what [`export_points`] does in a file that was begun and gets its name later.
+///
+/// # Errors
+/// Those of [`export_points`].
+pub fn write_points(
+    request: &ExportRequest,
+    output: PointsFile,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<(Exported, ClosedFile), Error> {
     let points = request.octree.join(FILE_NAME);
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
     let map = Map::open(&map_bytes).map_err(|e| of_map(&request.map, e))?;
     check_pair(request, map.view(), &octree)?;
-    let done = limits.run(|| run(request, &map, &octree, limits, watch))?;
+    let done = limits.run(|| run(request, output, &map, &octree, limits, watch))?;
     done.map_err(|e| match e {
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
@@ -85,7 +104,7 @@ fn of_map(path: &Path, e: impl Into<QueryError>) -> Error {
     }
 }
 
-/// Refuses a map of other points, and an output that would replace a scan.
+/// Refuses a map of other points.
 fn check_pair(
     request: &ExportRequest,
     map: &MapView<'_>,
@@ -102,39 +121,30 @@ fn check_pair(
              or build a map of this one"
         )));
     }
-    let name = request.output.file_name().unwrap_or_default();
-    for source in octree.sources() {
-        let of_scan = octree.source_name(source).map_err(OctreeError::from)?;
-        if *name == *of_scan && request.output.exists() {
-            return Err(Error::Usage(format!(
-                "{}: a scan that the octree was made from has that name, and more in it than an \
-                 export keeps; give another",
-                request.output.display()
-            )));
-        }
-    }
     Ok(())
 }
 
 fn run(
     request: &ExportRequest,
+    output: PointsFile,
     map: &Map<'_>,
     octree: &OctreeView<'_>,
     limits: &Limits,
     watch: &dyn Watch,
-) -> Result<Exported, Error> {
-    let output = Output::of(&request.output)?;
+) -> Result<(Exported, ClosedFile), Error> {
+    // Where it is a link, the folder of what it points at.
+    let beside = output.temp_path().to_path_buf();
     let held_bytes = fields::held_bytes(&request.fields, map.view().summary().n_surfels);
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
     let names = fields::columns(&request.fields);
-    require_disk(request, octree, output.estimate_bytes(octree, &names), memory_bytes, watch)?;
+    require_disk(&beside, octree, output.estimate_bytes(octree, &names), memory_bytes, watch)?;
     let located: Result<Vec<_>, _> =
         request.fields.iter().map(|f| f.locate(map, request.snap)).collect();
     let located = located.map_err(|e| of_map(&request.map, e))?;
     let values =
         Values::of(&request.fields, &located, map, watch).map_err(|e| of_map(&request.map, e))?;
-    let folder = folder_of(&request.output);
+    let folder = folder_of(&beside);
     let tagger = || tagger(&request.map, map.view());
     let all = BySource::gather::<Error, _>(octree, folder, memory_bytes, tagger, watch)?;
     let spilled_bytes = all.spilled_bytes();
@@ -143,14 +153,15 @@ fn run(
         let columns = values.columns(surfels).map_err(|e| of_map(&request.map, e))?;
         writer.write(batch, &columns)
     })?;
-    writer.finish()?;
-    let len = std::fs::metadata(&request.output).map(|m| m.len());
-    Ok(Exported {
+    let file = writer.close()?;
+    let len = std::fs::metadata(file.temp_path()).map(|m| m.len());
+    let done = Exported {
         n_points: octree.summary().n_points,
         names: names.into_iter().map(|f| f.name).collect(),
         output_bytes: len.map_err(|e| StoreError::io(&request.output, "look at", e))?,
         temporary_bytes: spilled_bytes,
-    })
+    };
+    Ok((done, file))
 }
 
 /// Makes what gives a point the surfel of the leaf it is routed to. [D-3]
@@ -171,7 +182,7 @@ fn tagger<'m>(
 
 /// Says how much disk the export takes, and refuses it where there is less. (F21)
 fn require_disk(
-    request: &ExportRequest,
+    beside: &Path,
     octree: &OctreeView<'_>,
     output_bytes: u64,
     memory_bytes: u64,
@@ -182,8 +193,8 @@ fn require_disk(
         watch.note(&format!(
             "needs about {} MiB of temporary disk in {}",
             (temporary >> 20) + 1,
-            folder_of(&request.output).display()
+            folder_of(beside).display()
         ));
     }
-    Ok(memory::require_disk(&request.output, output_bytes.saturating_add(temporary))?)
+    Ok(memory::require_disk(beside, output_bytes.saturating_add(temporary))?)
 }

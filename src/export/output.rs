@@ -6,13 +6,15 @@ use pvmap_geometry::{Frame, PointBatch, Positions};
 use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::Seen;
 use pvmap_scan::{
-    ColorRange, Crs, LasContent, LasOptions, LasWriter, PlyColumns, PlyWriter, ScalarField,
+    ColorRange, Crs, LasContent, LasOptions, LasWriter, PlyColumns, PlyExtras, PlyWriter,
+    ScalarField,
 };
-use pvmap_store::Watch;
+use pvmap_store::{AtomicFile, ClosedFile, Watch};
 use pvmap_vmap::frame::CrsKind;
 use pvmap_vmap::schema::ColumnType;
 use pvmap_vmap::{OctreeView, Source};
 
+use super::begin::{LAS_SOFTWARE, Made, PLY_COMMENT, begin_file};
 use crate::Error;
 
 /// Steps that a lattice of our own has along the cube's side at the most: 30 bits of the 32.
@@ -34,15 +36,20 @@ enum Kind {
     Ply,
 }
 
-/// An output that has not been started.
-pub(super) struct Output<'p> {
-    path: &'p Path,
+/// An output for points that was begun and has none yet.
+#[derive(Debug)]
+pub struct PointsFile {
+    file: AtomicFile,
     kind: Kind,
 }
 
-impl<'p> Output<'p> {
-    /// Looks at the ending of the name.
-    pub(super) fn of(path: &'p Path) -> Result<Output<'p>, Error> {
+impl PointsFile {
+    /// Begins an output; the ending of its name says of which kind.
+    ///
+    /// # Errors
+    /// Where it has another ending or cannot be begun, or a file has that name that no export
+    /// made, unless `overwrite`.
+    pub fn begin(path: &Path, overwrite: bool) -> Result<PointsFile, Error> {
         let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
         let kind = match ending.to_str() {
             Some("las") => Kind::Las,
@@ -54,7 +61,13 @@ impl<'p> Output<'p> {
                 return Err(Error::Usage(message));
             }
         };
-        Ok(Output { path, kind })
+        let made = if kind == Kind::Ply { Made::Ply } else { Made::Las };
+        Ok(PointsFile { file: begin_file(path, made, overwrite)?, kind })
+    }
+
+    /// Gives the name it has until it is published.
+    pub(super) fn temp_path(&self) -> &Path {
+        self.file.temp_path()
     }
 
     /// Gives the bytes that the file will have, about.
@@ -71,12 +84,13 @@ impl<'p> Output<'p> {
 
     /// Starts the file.
     pub(super) fn start(
-        &self,
+        self,
         octree: &OctreeView<'_>,
         fields: &[ScalarField],
         seen: Seen,
         watch: &dyn Watch,
     ) -> Result<Writer, Error> {
+        let path = self.file.path().to_path_buf();
         let (color, color_factors) = self.colors(octree);
         let has = |name| octree.schema().column(name).is_some();
         let sources = octree.sources().to_vec();
@@ -90,7 +104,9 @@ impl<'p> Output<'p> {
                 gps_time: has("gps_time"),
             };
             let n_points = octree.summary().n_points;
-            let ply = PlyWriter::create_with(self.path, n_points, columns, fields)?;
+            let comments = vec![PLY_COMMENT.to_owned()];
+            let extras = PlyExtras { comments, fields: fields.to_vec() };
+            let ply = PlyWriter::create_in(self.file, n_points, columns, &extras)?;
             (Sink::Ply(ply), None)
         } else {
             let lattice = Lattice::of(octree, watch);
@@ -108,11 +124,12 @@ impl<'p> Output<'p> {
                     .is_some_and(|(least, most)| least < 0.0 || most > WEEK_SECONDS),
                 crs: crs(octree, seen, watch)?,
                 fields: fields.to_vec(),
+                software: LAS_SOFTWARE,
             };
-            let las = LasWriter::create_with(self.path, options, &content)?;
+            let las = LasWriter::create_in(self.file, options, &content)?;
             (Sink::Las(Box::new(las)), Some(lattice))
         };
-        Ok(Writer { sink, lattice, color_factors, sources, path: self.path.to_path_buf() })
+        Ok(Writer { sink, lattice, color_factors, sources, path })
     }
 
     /// Says what full brightness is in the output, if there are colours, and by what those of each
@@ -264,11 +281,11 @@ impl Writer {
         Ok(())
     }
 
-    /// Completes the file and gives it its name.
-    pub(super) fn finish(self) -> Result<(), Error> {
+    /// Completes the file, which has yet to get its name.
+    pub(super) fn close(self) -> Result<ClosedFile, Error> {
         match self.sink {
-            Sink::Las(las) => Ok(las.finish()?),
-            Sink::Ply(ply) => Ok(ply.finish()?),
+            Sink::Las(las) => Ok(las.close()?),
+            Sink::Ply(ply) => Ok(ply.close()?),
         }
     }
 

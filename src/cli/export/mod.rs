@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::{Error, PointField, folder_of};
+use pvmap::{AtomicFile, Error, Made, PointField, PointsFile, begin_file, folder_of};
 
 use super::{Context, Outcome, refuse_input, threads_parser};
 
@@ -33,6 +33,9 @@ Fields:
                        -1 in a plain tree
 A field of a kind that was given before is named visible_from_2, then visible_from_3, ...
 LAS has fields as extra bytes, PLY as properties of a vertex.
+
+A file that is there is replaced only if pvmap export made it, or with --overwrite: a scan never is
+otherwise. All outputs are begun before any work, and get their names together when all is done.
 
 Points that --memory does not hold wait in a nameless temporary file beside the output; how much
 is said before, and the disk must have it.
@@ -74,6 +77,9 @@ pub(super) struct Args {
         value_parser = points::parse_field
     )]
     fields: Vec<PointField>,
+    /// Replace files of those names whatever they are
+    #[arg(long)]
+    overwrite: bool,
     /// How far from a surface the place of visible-from may be, in the
     /// scan's units [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", requires = "points", verbatim_doc_comment)]
@@ -124,12 +130,44 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Usage(message).into());
         }
     }
-    if let (Some(octree), Some(output)) = (&args.octree, &args.points) {
-        points::run(args, octree, output, context)?;
+    // All of them before any work, and their names when all is done.
+    let begun = Begun::of(args)?;
+    let mut files = Vec::new();
+    let mut done = None;
+    if let Some((octree, output)) = begun.points {
+        let (exported, file) = points::run(args, octree, output, context)?;
+        done = Some(exported);
+        files.push(file);
     }
-    if let Some(discs) = args.surfels.as_ref().filter(|s| is_discs(s)) {
-        pvmap::export_surfels(&args.map, discs, &context.progress)?;
+    let stages = context.progress.take_stages();
+    if let Some(discs) = begun.discs {
+        files.push(pvmap::write_surfels(&args.map, discs, &context.progress)?);
     }
-    tables::run(args, &context.progress)?;
-    Ok(ExitCode::SUCCESS)
+    files.extend(tables::run(&args.map, begun.tables, &context.progress)?);
+    files.into_iter().try_for_each(|file| file.publish(false))?;
+    match done {
+        Some(done) => Ok(points::report(args, &done, &stages)?),
+        None => Ok(ExitCode::SUCCESS),
+    }
+}
+
+/// All outputs, begun.
+struct Begun<'a> {
+    points: Option<(&'a Path, PointsFile)>,
+    discs: Option<AtomicFile>,
+    tables: Vec<tables::Table>,
+}
+
+impl Begun<'_> {
+    fn of(args: &Args) -> Result<Begun<'_>, Error> {
+        let points = match (&args.octree, &args.points) {
+            (Some(octree), Some(output)) => {
+                Some((octree.as_path(), PointsFile::begin(output, args.overwrite)?))
+            }
+            _ => None,
+        };
+        let discs = args.surfels.as_ref().filter(|s| is_discs(s));
+        let discs = discs.map(|path| begin_file(path, Made::Ply, args.overwrite)).transpose()?;
+        Ok(Begun { points, discs, tables: tables::begin(args)? })
+    }
 }

@@ -1,14 +1,15 @@
 //! The points of the scans, with what the map says of each.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
+use std::process::ExitCode;
 
 use pvmap::query::Snap;
-use pvmap::{ExportRequest, Limits, PointField};
+use pvmap::{ClosedFile, Error, ExportRequest, Exported, Limits, PointField, PointsFile};
 
 use super::super::{Context, mib, parse_point};
 use super::Args;
-use crate::progress::si;
+use crate::progress::{StageDone, si};
 
 /// Reads `visible-from=x,y,z`, `sees-count`, `leaf`, `level` or `bin`.
 pub(super) fn parse_field(text: &str) -> Result<PointField, String> {
@@ -24,31 +25,36 @@ pub(super) fn parse_field(text: &str) -> Result<PointField, String> {
     }
 }
 
-/// Writes the points, and says what was done unless a table goes to the same place.
+/// Writes the points to a file that has yet to get its name.
 pub(super) fn run(
     args: &Args,
     octree: &Path,
-    output: &Path,
+    output: PointsFile,
     context: &Context,
-) -> anyhow::Result<()> {
+) -> Result<(Exported, ClosedFile), Error> {
     let request = ExportRequest {
         map: args.map.clone(),
         octree: octree.to_path_buf(),
-        output: output.to_path_buf(),
+        output: args.points.clone().unwrap_or_default(),
+        overwrite: args.overwrite,
         fields: args.fields.clone(),
         snap: args.snap.map_or(Snap::FourHalfSpacings, Snap::Within),
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
-    let done = pvmap::export_points(&request, &limits, &context.progress)?;
-    let stages = context.progress.take_stages();
+    pvmap::write_points(&request, output, &limits, &context.progress)
+}
+
+/// Says what was done, unless a table went to the same place.
+pub(super) fn report(args: &Args, done: &Exported, stages: &[StageDone]) -> io::Result<ExitCode> {
     let tables = [&args.surfels, &args.nodes, &args.links];
     if tables.into_iter().flatten().any(|path| pvmap::is_stdout(path)) {
-        return Ok(());
+        return Ok(ExitCode::SUCCESS);
     }
     let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
     let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{}", output.display())?;
+    let mut out = io::stdout().lock();
+    let name = args.points.as_deref().unwrap_or(Path::new(""));
+    writeln!(out, "{}", name.display())?;
     let names = if done.names.is_empty() { "none".to_owned() } else { done.names.join(", ") };
     writeln!(out, "  points    {}; new fields: {names}", done.n_points)?;
     writeln!(
@@ -64,5 +70,5 @@ pub(super) fn run(
         si(rate),
         mib(peak)
     )?;
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use las::point::Format;
 use las::{Builder, GpsTimeType, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
 use pvmap_geometry::{Intensity, PointBatch, Positions};
-use pvmap_store::{AtomicFile, StoreError};
+use pvmap_store::{AtomicFile, ClosedFile, StoreError};
 
 use crate::error::ScanError;
 use crate::field::{self, FieldKind, ScalarField};
@@ -51,6 +51,8 @@ pub struct LasContent {
     pub crs: Option<Crs>,
     /// Numbers in extra bytes, behind the normal.
     pub fields: Vec<ScalarField>,
+    /// What made the file: up to 31 ASCII characters of the header.
+    pub software: &'static str,
 }
 
 impl Default for LasContent {
@@ -61,6 +63,7 @@ impl Default for LasContent {
             is_standard_gps_time: false,
             crs: None,
             fields: Vec::new(),
+            software: "pvmap",
         }
     }
 }
@@ -138,21 +141,35 @@ impl LasWriter {
         options: LasOptions,
         content: &LasContent,
     ) -> Result<LasWriter, ScanError> {
-        let fail = |e: las::Error| write_error(path, e.to_string());
+        LasWriter::create_in(AtomicFile::create(path)?, options, content)
+    }
+
+    /// Begins the points of a file that was started, which have what `content` says.
+    ///
+    /// # Errors
+    /// Where scale and offset make no lattice, a field has a name that cannot be written, or the
+    /// disk fails.
+    pub fn create_in(
+        file: AtomicFile,
+        options: LasOptions,
+        content: &LasContent,
+    ) -> Result<LasWriter, ScanError> {
+        let path = file.path().to_path_buf();
+        let fail = |e: las::Error| write_error(&path, e.to_string());
         let is_sound = options.scale.iter().all(|s| s.is_normal() && *s > 0.0)
             && options.offset.iter().all(|o| o.is_finite());
         if !is_sound {
-            return Err(write_error(path, "scale must be > 0 and offset finite".to_owned()));
+            return Err(write_error(&path, "scale must be > 0 and offset finite".to_owned()));
         }
         if let Some(problem) = content.fields.iter().find_map(ScalarField::problem) {
-            return Err(write_error(path, problem));
+            return Err(write_error(&path, problem));
         }
         let layout = content.layout();
         let builder = builder(&options, content).map_err(fail)?;
         let format = builder.point_format;
         let header = builder.into_header().map_err(fail)?;
         let failure = Failure::default();
-        let out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+        let out = BufWriter::with_capacity(1 << 20, file);
         let sink = Sink { out, failure: failure.clone() };
         let writer = Writer::new(sink, header).map_err(fail)?;
         let transforms = transforms(&options);
@@ -166,7 +183,7 @@ impl LasWriter {
             min: [i32::MAX; 3],
             max: [i32::MIN; 3],
             failure,
-            path: path.to_path_buf(),
+            path,
         })
     }
 
@@ -211,6 +228,14 @@ impl LasWriter {
     /// # Errors
     /// Where the disk fails; then nothing is left behind.
     pub fn finish(self) -> Result<(), ScanError> {
+        Ok(self.close()?.publish(false)?)
+    }
+
+    /// Completes the file, which has yet to get its name.
+    ///
+    /// # Errors
+    /// Those of [`LasWriter::finish`].
+    pub fn close(self) -> Result<ClosedFile, ScanError> {
         let bounds = self.bounds();
         let fail = |problem: String| write_error(&self.path, problem);
         let sink = self.writer.into_inner().map_err(|e| fail(e.to_string()))?;
@@ -220,7 +245,7 @@ impl LasWriter {
             .into_inner()
             .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
         file.write_at(&bounds, BOUNDS_OFFSET)?;
-        Ok(file.commit()?)
+        Ok(file.close()?)
     }
 
     /// Encodes the bounds of the points for the header. The crate's own may be a step too wide: it
@@ -338,7 +363,7 @@ fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::E
     format.extra_bytes = extra.iter().map(|f| f.kind.n_bytes() as u16).sum();
     let mut builder = Builder::default();
     builder.version = Version::new(1, 4);
-    builder.generating_software = "pvmap".to_owned();
+    builder.generating_software = content.software.to_owned();
     builder.transforms = transforms(options);
     if content.is_standard_gps_time {
         builder.gps_time_type = GpsTimeType::Standard;
