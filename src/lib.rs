@@ -54,8 +54,8 @@ pub use classes::class_points;
 pub use config::BuildConfig;
 pub use error::Error;
 pub use export::{
-    ExportRequest, Exported, Made, PointField, PointsFile, begin_file, begin_table, export_points,
-    export_surfels, write_points, write_surfels,
+    ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file, begin_table,
+    export_points, export_surfels, write_points, write_surfels,
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};

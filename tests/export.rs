@@ -8,10 +8,10 @@ mod export_common;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use cli_common::{Bench, TWO_THREADS, floor, patch, room};
-use export_common::{EYE, build, read, scan, write_las};
+use export_common::{ALL_COLUMNS, EYE, build, read, scan, write_las, write_ply};
 use pvmap::geometry::Positions;
-use pvmap::query::Snap;
-use pvmap::scan::{LasContent, ReadOptions, Source};
+use pvmap::query::{Place, Snap};
+use pvmap::scan::{ColorRange, LasContent, PlyColumns, ReadOptions, Source};
 use pvmap::vmap::MapView;
 use pvmap::{Error, ExportRequest, Exported, Limits, PointField, Quiet, StoreError, Watch};
 
@@ -21,7 +21,10 @@ fn request(bench: &Bench, output: &str) -> ExportRequest {
         octree: bench.path("a.octree"),
         output: bench.path(output),
         overwrite: false,
-        fields: vec![PointField::VisibleFrom(EYE), PointField::SeesCount],
+        fields: vec![
+            PointField::VisibleFrom(Place { position: EYE, normal: None }),
+            PointField::SeesCount,
+        ],
         snap: Snap::default(),
     }
 }
@@ -156,12 +159,13 @@ fn what_an_export_is_refused_for() {
     let inputs = ["a.las", "a.vmap", "a.octree/points.pvo"].map(|name| bench.read(name));
     let all = "export a.vmap --octree a.octree --points";
     for (line, words) in [
-        ("export a.vmap --points out.las", &["--octree"][..]),
-        ("export a.vmap --octree a.octree", &["--points"]),
+        ("export a.vmap --octree a.octree", &["--points"][..]),
         ("export a.vmap --field leaf --links -", &["--points"]),
         (&format!("{all} out.xyz"), &["out.xyz", ".las, .laz or .ply"]),
         (&format!("{all} out.las --field colour"), &["colour", "sees-count"]),
         (&format!("{all} out.las --field visible-from=1,2"), &["three numbers"]),
+        (&format!("{all} out.las --field visible-from=1,2,3,4"), &["six"]),
+        (&format!("{all} out.las --field lit=1"), &["three numbers"]),
         (&format!("{all} out.las --surfels ./out.las"), &["one place"]),
         (&format!("{all} a.vmap"), &["one of the inputs"]),
         (&format!("{all} a.octree/points.pvo"), &["one of the inputs"]),
@@ -172,8 +176,13 @@ fn what_an_export_is_refused_for() {
         bench.line(&format!("{all} {output}")).fails(73, &["missing"]);
     }
     bench.line(&format!("{all} out.las --field visible-from=0,0,-0.5")).fails(65, &["no surface"]);
+    // Without a name it is the octree beside the map.
+    std::fs::rename(bench.path("a.octree"), bench.path("b.octree")).unwrap();
+    bench.line("export a.vmap --points out.las").fails(66, &["a.octree"]);
+    std::fs::rename(bench.path("b.octree"), bench.path("a.octree")).unwrap();
     let near = format!("{all} near.las --field visible-from=0,0,-0.5 --snap 1");
     bench.line(&near).ok();
+    bench.line(&near.replace("--octree a.octree ", "")).ok();
     assert_eq!(inputs, ["a.las", "a.vmap", "a.octree/points.pvo"].map(|name| bench.read(name)));
     std::fs::remove_file(bench.path("near.las")).unwrap();
     assert_eq!(bench.names(), names);
@@ -221,6 +230,18 @@ fn nothing_is_replaced_but_what_an_export_made() {
 }
 
 #[test]
+fn an_output_that_is_a_link_is_made_where_it_leads() {
+    let bench = room();
+    std::fs::create_dir(bench.path("there")).unwrap();
+    bench.line("export room.vmap --octree room.octree --points there/p.las").ok();
+    let first = bench.read("there/p.las");
+    std::os::unix::fs::symlink("there/p.las", bench.path("link.las")).unwrap();
+    let line = "export room.vmap --octree room.octree --points link.las --field leaf";
+    bench.line(line).ok();
+    assert!(bench.path("link.las").is_symlink() && bench.read("there/p.las") != first);
+}
+
+#[test]
 fn outputs_are_begun_before_any_work_and_appear_together() {
     let bench = room();
     let names = bench.names();
@@ -259,22 +280,56 @@ fn a_map_of_other_points_is_refused() {
 
 #[test]
 fn surfels_are_discs_in_scan_units() {
-    let bench = room();
-    bench.line("export room.vmap --surfels S.csv").ok();
-    bench.line("export room.vmap --surfels discs.ply").ok();
-    let (source, discs) = read(&bench.path("discs.ply"));
-    assert!(source.info().columns.color.is_none() && source.info().columns.normal);
-    let bytes = bench.read("room.vmap");
-    let view = MapView::open(&bytes).unwrap();
-    let Positions::Double(places) = &discs.positions else { panic!("no doubles") };
-    assert_eq!(places.len(), view.summary().n_surfels as usize);
-    for (i, (place, normal)) in places.iter().zip(discs.normal.unwrap()).enumerate() {
-        // A floor at -1 and a ceiling at 1 that look at each other.
-        assert!((place[2].abs() - 1.0).abs() < 1e-6, "{i}: {place:?}");
-        assert_eq!(normal, [0.0, 0.0, -place[2].signum() as f32]);
-        let centroid = view.surfel(i as u32).unwrap().centroid;
-        assert_eq!(*place, view.frame().frame.world_of(centroid));
+    let bench = Bench::new();
+    let content = LasContent { color: true, ..LasContent::default() };
+    write_las(&bench.path("a.las"), &scan(30, 18), [5.0, 0.0, 0.0], &content);
+    // Beside the other, so that there are surfels without a colour.
+    let mut second = scan(20, 19);
+    let Positions::Double(places) = &mut second.positions else { panic!("no doubles") };
+    places.iter_mut().for_each(|place| place[0] += 3.0);
+    write_ply(&bench.path("b.ply"), &second, PlyColumns { color: None, ..ALL_COLUMNS });
+    bench.line("ingest a.las b.ply -o a.octree --normals file").ok();
+    for (config, is_plain) in [("depth8", false), ("paper", true)] {
+        bench.line(&format!("build a.octree --config {config} --max-level 4 -o a.vmap")).ok();
+        bench.line("export a.vmap --surfels discs.ply").ok();
+        let (source, discs) = read(&bench.path("discs.ply"));
+        assert!(source.info().columns.normal);
+        assert_eq!(source.info().columns.color, Some(ColorRange::Eight));
+        let bytes = bench.read("a.vmap");
+        let view = MapView::open(&bytes).unwrap();
+        let frame = view.frame().frame;
+        let surfels: Vec<_> =
+            (0..view.summary().n_surfels).map(|i| view.surfel(i).unwrap()).collect();
+        let Positions::Double(places) = &discs.positions else { panic!("no doubles") };
+        let expected = surfels.iter().map(|s| frame.world_of(s.centroid));
+        assert!(expected.eq(places.iter().copied()));
+        let normals = discs.normal.unwrap();
+        for (s, normal) in surfels.iter().zip(&normals) {
+            let along = [0, 1, 2].map(|i| f32::from(s.normal[i]) / 16384.0 - normal[i]);
+            assert!(along.iter().all(|d| d.abs() < 1e-4), "{s:?}");
+        }
+        // radius n_points level bin surfel, of the types f32 u32 u8 i8 u32, end a row.
+        let file = bench.read("discs.ply");
+        let end = b"end_header\n";
+        let start = file.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+        let row_bytes = 24 + 12 + 3 + 14;
+        assert_eq!(file.len() - start, surfels.len() * row_bytes);
+        let mut colors = Vec::new();
+        for (i, (row, s)) in file[start..].chunks_exact(row_bytes).zip(&surfels).enumerate() {
+            let four = |at: usize| -> [u8; 4] { row[at..at + 4].try_into().unwrap() };
+            let radius = (s.radius2 as f64).sqrt() * frame.unit();
+            assert_eq!(f32::from_le_bytes(four(39)), radius as f32);
+            assert_eq!(u64::from(u32::from_le_bytes(four(43))), s.n_points);
+            assert_eq!((row[47], row[48] as i8), (s.level, s.bin));
+            assert_eq!(s.bin == -1, is_plain);
+            assert_eq!(u32::from_le_bytes(four(49)) as usize, i);
+            // Darkest and brightest stay what they are; between them sRGB is brighter than light.
+            for (byte, light) in row[36..39].iter().zip(s.color.unwrap_or_default()) {
+                let share = (f64::from(light) / 65535.0 * 255.0).floor();
+                assert!(f64::from(*byte) >= share && (*byte == 0) == (light < 10), "{light}");
+            }
+            colors.push(s.color.is_some());
+        }
+        assert!(colors.contains(&true) && colors.contains(&false), "with and without colours");
     }
-    let n_rows = String::from_utf8(bench.read("S.csv")).unwrap().lines().count();
-    assert_eq!(n_rows, places.len() + 1);
 }

@@ -2,7 +2,9 @@
 //! the way back of `octree` and the writers of `scan`.
 
 mod begin;
+mod columns;
 mod fields;
+mod lattice;
 mod output;
 mod seen;
 mod surfels;
@@ -10,7 +12,7 @@ mod surfels;
 use std::path::{Path, PathBuf};
 
 use pvmap_octree::OctreeError;
-use pvmap_octree::by_source::{BySource, temporary_bytes};
+use pvmap_octree::by_source::{BySource, With, temporary_bytes};
 use pvmap_query::{Map, QueryError, Snap};
 use pvmap_store::output::folder_of;
 use pvmap_store::{ClosedFile, Mapped, StoreError, Watch, memory};
@@ -20,8 +22,8 @@ use pvmap_vmap::{MapView, OctreeView, Router};
 use crate::build::open_octree;
 use crate::{Error, Limits};
 pub use begin::{Made, begin_file, begin_table};
-pub use fields::PointField;
 use fields::Values;
+pub use fields::{PlaceAnswer, PointField};
 pub use output::PointsFile;
 pub use surfels::{export_surfels, write_surfels};
 
@@ -43,12 +45,14 @@ pub struct ExportRequest {
 }
 
 /// What an export did.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Exported {
     /// Points written.
     pub n_points: u64,
     /// The names of the new fields, in the order they were asked for.
     pub names: Vec<String>,
+    /// What answered for the places of fields.
+    pub places: Vec<PlaceAnswer>,
     /// Bytes of the finished file.
     pub output_bytes: u64,
     /// Bytes written to a temporary file.
@@ -87,9 +91,9 @@ pub fn write_points(
     let points = request.octree.join(FILE_NAME);
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
-    let map = Map::open(&map_bytes).map_err(|e| of_map(&request.map, e))?;
-    check_pair(request, map.view(), &octree)?;
-    let done = limits.run(|| run(request, output, &map, &octree, limits, watch))?;
+    let map = MapView::open(&map_bytes).map_err(|e| Error::artifact(&request.map, e))?;
+    check_pair(request, &map, &octree)?;
+    let done = limits.run(|| run(request, output, (&map_bytes, &map), &octree, limits, watch))?;
     done.map_err(|e| match e {
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
@@ -97,10 +101,10 @@ pub fn write_points(
 }
 
 /// Says which map an error is about, where it is about the map.
-fn of_map(path: &Path, e: impl Into<QueryError>) -> Error {
-    match e.into() {
-        QueryError::Format(e) => Error::artifact(path, e),
-        e => Error::Query(e),
+fn of_map(path: &Path, e: Error) -> Error {
+    match e {
+        Error::Query(QueryError::Format(e)) => Error::artifact(path, e),
+        e => e,
     }
 }
 
@@ -127,37 +131,47 @@ fn check_pair(
 fn run(
     request: &ExportRequest,
     output: PointsFile,
-    map: &Map<'_>,
+    (map_bytes, map): (&[u8], &MapView<'_>),
     octree: &OctreeView<'_>,
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<(Exported, ClosedFile), Error> {
-    // Where it is a link, the folder of what it points at.
+    let fields = &request.fields;
+    // Where the output is a link, the folder of what it points at.
     let beside = output.temp_path().to_path_buf();
-    let held_bytes = fields::held_bytes(&request.fields, map.view().summary().n_surfels);
+    let folder = folder_of(&beside);
+    let held_bytes = fields::held_bytes(fields, map.summary().n_surfels);
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
-    let names = fields::columns(&request.fields);
-    require_disk(&beside, octree, output.estimate_bytes(octree, &names), memory_bytes, watch)?;
-    let located: Result<Vec<_>, _> =
-        request.fields.iter().map(|f| f.locate(map, request.snap)).collect();
-    let located = located.map_err(|e| of_map(&request.map, e))?;
-    let values =
-        Values::of(&request.fields, &located, map, watch).map_err(|e| of_map(&request.map, e))?;
-    let folder = folder_of(&beside);
-    let tagger = || tagger(&request.map, map.view());
-    let all = BySource::gather::<Error, _>(octree, folder, memory_bytes, tagger, watch)?;
+    let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
+    let names = fields::columns(fields, octree.schema());
+    let temporary = temporary_bytes(octree, with, memory_bytes);
+    output.require_disk(octree, &names, temporary, watch)?;
+    if temporary > 0 {
+        let (mib, folder) = ((temporary >> 20) + 1, folder.display());
+        watch.note(&format!("needs about {mib} MiB of temporary disk in {folder}"));
+    }
+    let (values, places) = {
+        // It keeps what it decodes; all that is gone before the points come.
+        let map = Map::open_within(map_bytes, memory_bytes / 2);
+        let values =
+            map.map_err(Error::from).and_then(|map| Values::of(fields, &map, request.snap, watch));
+        values.map_err(|e| of_map(&request.map, e))?
+    };
+    let tagger = || tagger(&request.map, map);
+    let place = (folder, memory_bytes);
+    let all = BySource::gather::<Error, _>(octree, with, place, tagger, watch)?;
     let spilled_bytes = all.spilled_bytes();
-    let mut writer = output.start(octree, &names, all.seen(), watch)?;
-    all.each(|batch, surfels| {
-        let columns = values.columns(surfels).map_err(|e| of_map(&request.map, e))?;
-        writer.write(batch, &columns)
+    let mut writer = output.start(octree, (fields, &names), all.seen(), watch)?;
+    all.each(|batch, tags| {
+        writer.write(batch, values.columns(batch, &tags.numbers, &tags.normals))
     })?;
     let file = writer.close()?;
     let len = std::fs::metadata(file.temp_path()).map(|m| m.len());
     let done = Exported {
         n_points: octree.summary().n_points,
         names: names.into_iter().map(|f| f.name).collect(),
+        places,
         output_bytes: len.map_err(|e| StoreError::io(&request.output, "look at", e))?,
         temporary_bytes: spilled_bytes,
     };
@@ -178,23 +192,4 @@ fn tagger<'m>(
         ))),
         Err(e) => Err(Error::artifact(path, e)),
     }
-}
-
-/// Says how much disk the export takes, and refuses it where there is less. (F21)
-fn require_disk(
-    beside: &Path,
-    octree: &OctreeView<'_>,
-    output_bytes: u64,
-    memory_bytes: u64,
-    watch: &dyn Watch,
-) -> Result<(), Error> {
-    let temporary = temporary_bytes(octree, memory_bytes);
-    if temporary > 0 {
-        watch.note(&format!(
-            "needs about {} MiB of temporary disk in {}",
-            (temporary >> 20) + 1,
-            folder_of(beside).display()
-        ));
-    }
-    Ok(memory::require_disk(beside, output_bytes.saturating_add(temporary))?)
 }

@@ -1,40 +1,63 @@
 //! The points of the scans, with what the map says of each.
 
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::query::Snap;
-use pvmap::{ClosedFile, Error, ExportRequest, Exported, Limits, PointField, PointsFile};
+use pvmap::query::{Place, Snap};
+use pvmap::{
+    ClosedFile, Error, ExportRequest, Exported, Limits, PlaceAnswer, PointField, PointsFile,
+};
 
 use super::super::{Context, mib, parse_point};
 use super::Args;
 use crate::progress::{StageDone, si};
 
-/// Reads `visible-from=x,y,z`, `sees-count`, `leaf`, `level` or `bin`.
+/// The fields without a place.
+const PLAIN: [(&str, PointField); 7] = [
+    ("sees-count", PointField::SeesCount),
+    ("leaf", PointField::Leaf),
+    ("level", PointField::Level),
+    ("bin", PointField::Bin),
+    ("normal", PointField::Normal),
+    ("record", PointField::Record),
+    ("source", PointField::Source),
+];
+
+/// Reads a field as help shows it.
 pub(super) fn parse_field(text: &str) -> Result<PointField, String> {
     match text.split_once('=') {
-        Some(("visible-from", place)) => Ok(PointField::VisibleFrom(parse_point(place)?)),
-        None if text == "sees-count" => Ok(PointField::SeesCount),
-        None if text == "leaf" => Ok(PointField::Leaf),
-        None if text == "level" => Ok(PointField::Level),
-        None if text == "bin" => Ok(PointField::Bin),
-        _ => Err(format!(
-            "{text:?} is no field; write visible-from=x,y,z, sees-count, leaf, level or bin"
-        )),
+        Some(("visible-from", place)) => Ok(PointField::VisibleFrom(parse_place(place)?)),
+        Some(("lit", place)) => Ok(PointField::Lit(parse_point(place)?)),
+        _ => PLAIN.iter().find(|plain| plain.0 == text).map(|plain| plain.1).ok_or_else(|| {
+            format!(
+                "{text:?} is no field; write visible-from=x,y,z, lit=x,y,z, {}",
+                PLAIN.map(|plain| plain.0).join(", ")
+            )
+        }),
     }
+}
+
+/// Reads `x,y,z` or `x,y,z,nx,ny,nz`.
+fn parse_place(text: &str) -> Result<Place, String> {
+    let side = text.match_indices(',').nth(2).map(|(at, _)| at);
+    let Some(at) = side else { return Ok(Place { position: parse_point(text)?, normal: None }) };
+    let refuse = |_| format!("{text:?} is not three numbers or six; write x,y,z or x,y,z,nx,ny,nz");
+    let position = parse_point(&text[..at]).map_err(refuse)?;
+    let normal = parse_point(&text[at + 1..]).map_err(refuse)?;
+    Ok(Place { position, normal: Some(normal.map(|v| v as f32)) })
 }
 
 /// Writes the points to a file that has yet to get its name.
 pub(super) fn run(
     args: &Args,
-    octree: &Path,
+    octree: PathBuf,
     output: PointsFile,
     context: &Context,
 ) -> Result<(Exported, ClosedFile), Error> {
     let request = ExportRequest {
         map: args.map.clone(),
-        octree: octree.to_path_buf(),
+        octree,
         output: args.points.clone().unwrap_or_default(),
         overwrite: args.overwrite,
         fields: args.fields.clone(),
@@ -57,6 +80,14 @@ pub(super) fn report(args: &Args, done: &Exported, stages: &[StageDone]) -> io::
     writeln!(out, "{}", name.display())?;
     let names = if done.names.is_empty() { "none".to_owned() } else { done.names.join(", ") };
     writeln!(out, "  points    {}; new fields: {names}", done.n_points)?;
+    for PlaceAnswer { name, surfel } in &done.places {
+        match surfel {
+            Some((surfel, distance)) => {
+                writeln!(out, "  place     of {name}: surfel {surfel}, {distance} away")?;
+            }
+            None => writeln!(out, "  place     of {name}: in the air")?,
+        }
+    }
     writeln!(
         out,
         "  disk      {} and {} temporary",

@@ -19,6 +19,17 @@ const MAX_LEGACY_CLASS: u8 = 31;
 /// Bytes of a record of the longest format written: place, intensity, class, gps time and colour.
 const MAX_RECORD_BYTES: usize = 36;
 
+/// The longest name or description of a field in extra bytes: a zero is behind it.
+const MAX_TEXT_BYTES: usize = 31;
+
+/// The longest payload of a plain record; longer ones stand behind the points.
+const MAX_VLR_BYTES: usize = 65_535;
+
+/// Bytes of the header of LAS 1.4, and before the payload of a plain and of an extended record.
+const HEADER_BYTES: u64 = 375;
+const VLR_HEADER_BYTES: u64 = 54;
+const EVLR_HEADER_BYTES: u64 = 60;
+
 /// Where the header has its bounds: max and min, an axis at a time.
 const BOUNDS_OFFSET: u64 = 179;
 
@@ -185,6 +196,24 @@ impl LasWriter {
             failure,
             path,
         })
+    }
+
+    /// Gives the bytes of such a file where it is not compressed.
+    ///
+    /// # Errors
+    /// Where there can be no such file.
+    pub fn file_bytes(
+        options: LasOptions,
+        content: &LasContent,
+        n_points: u64,
+    ) -> Result<u64, ScanError> {
+        let builder = builder(&LasOptions { compressed: false, ..options }, content)
+            .map_err(|e| write_error(Path::new("LAS"), e.to_string()))?;
+        let plain = builder.vlrs.iter().map(|v| VLR_HEADER_BYTES + v.data.len() as u64);
+        let extended = builder.evlrs.iter().map(|v| EVLR_HEADER_BYTES + v.data.len() as u64);
+        let head_bytes = HEADER_BYTES + plain.chain(extended).sum::<u64>();
+        let record_bytes = u64::from(builder.point_format.len());
+        Ok(n_points.saturating_mul(record_bytes).saturating_add(head_bytes))
     }
 
     /// Appends a batch: places (a lattice batch as it is), colour, intensity, class, gps time and,
@@ -372,7 +401,11 @@ fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::E
         let data = extra.iter().flat_map(descriptor).collect();
         builder.vlrs.push(vlr("LASF_Spec", 4, "extra bytes", data));
     }
-    builder.vlrs.extend(crs_records(content.crs.as_ref()));
+    let records = crs_records(content.crs.as_ref()).into_iter().chain(whole_texts(&extra));
+    for record in records {
+        let is_long = record.data.len() > MAX_VLR_BYTES;
+        (if is_long { &mut builder.evlrs } else { &mut builder.vlrs }).push(record);
+    }
     builder.point_format = format;
     Ok(builder)
 }
@@ -385,13 +418,30 @@ fn descriptor(field: &ScalarField) -> [u8; 192] {
         FieldKind::I8 => 2,
         FieldKind::U32 => 5,
         FieldKind::F32 => 9,
+        FieldKind::F64 => 10,
     };
     // 32 bytes each, and a zero at the end for readers that want one.
     for (at, text) in [(4, &field.name), (160, &field.description)] {
-        let n = text.len().min(31);
-        descriptor[at..at + n].copy_from_slice(&text.as_bytes()[..n]);
+        let text = cut(text);
+        descriptor[at..at + text.len()].copy_from_slice(text.as_bytes());
     }
     descriptor
+}
+
+/// Gives as much of an ASCII text as a descriptor has room for, ending between words or numbers.
+fn cut(text: &str) -> &str {
+    match text.get(..MAX_TEXT_BYTES + 1) {
+        None => text,
+        Some(start) => &text[..start.rfind([',', ' ']).unwrap_or(MAX_TEXT_BYTES)],
+    }
+}
+
+/// Writes the fields with their whole descriptions, where one has no room in its descriptor.
+fn whole_texts(fields: &[ScalarField]) -> Option<Vlr> {
+    let is_long = |f: &ScalarField| f.description.len() > MAX_TEXT_BYTES;
+    let line = |f: &ScalarField| format!("{}: {}\n", f.name, f.description);
+    let text: String = fields.iter().map(line).collect();
+    fields.iter().any(is_long).then(|| vlr("pvmap", 1, "extra bytes in full", text.into_bytes()))
 }
 
 /// Gives the records of a coordinate reference system.

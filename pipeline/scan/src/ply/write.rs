@@ -92,6 +92,27 @@ impl PlyWriter {
         Ok(PlyWriter { out, columns, fields, n_declared: n_points, n_written: 0, path })
     }
 
+    /// Gives the bytes of such a file.
+    pub fn file_bytes(n_points: u64, columns: PlyColumns, extras: &PlyExtras) -> u64 {
+        let mut head = Vec::new();
+        let header = header(n_points as usize, columns, extras);
+        // Into memory, where nothing fails.
+        let _ = ply_rs::writer::Writer::<DefaultElement>::new().write_header(&mut head, &header);
+        let color_bytes = match columns.color {
+            Some(ColorRange::Eight) => 3,
+            Some(_) => 6,
+            None => 0,
+        };
+        let row_bytes = if columns.double { 24 } else { 12 }
+            + if columns.normal { 12 } else { 0 }
+            + color_bytes
+            + if columns.intensity { 4 } else { 0 }
+            + usize::from(columns.classification)
+            + if columns.gps_time { 8 } else { 0 }
+            + extras.fields.iter().map(|f| f.kind.n_bytes()).sum::<usize>();
+        n_points.saturating_mul(row_bytes as u64).saturating_add(head.len() as u64)
+    }
+
     /// Appends a batch; columns that it lacks are 0. Lattice positions are written as their steps.
     ///
     /// # Errors
@@ -223,6 +244,7 @@ fn header(n_points: usize, columns: PlyColumns, extras: &PlyExtras) -> Header {
             FieldKind::I8 => ScalarType::Char,
             FieldKind::U32 => ScalarType::UInt,
             FieldKind::F32 => ScalarType::Float,
+            FieldKind::F64 => ScalarType::Double,
         };
         add(&[&field.name], kind);
     }
