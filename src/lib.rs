@@ -42,6 +42,7 @@ pub mod accuracy;
 mod build;
 mod classes;
 pub mod config;
+mod counts;
 mod error;
 mod export;
 mod ingest;
@@ -52,6 +53,7 @@ pub mod scenes;
 pub use build::{Built, Checkpoints, build, build_with, open_octree};
 pub use classes::class_points;
 pub use config::BuildConfig;
+pub use counts::sees_counts;
 pub use error::Error;
 pub use export::{
     ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file, begin_table,

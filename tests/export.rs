@@ -230,6 +230,19 @@ fn nothing_is_replaced_but_what_an_export_made() {
 }
 
 #[test]
+fn tables_in_fifos_can_be_read_one_after_another() {
+    let bench = room();
+    bench.line("export room.vmap --nodes n.csv --links l.csv").ok();
+    let mut shell = std::process::Command::new("sh");
+    let line = "mkfifo n.fifo l.fifo; \"$0\" export room.vmap --nodes n.fifo --links l.fifo & \
+                cat n.fifo > n.txt; cat l.fifo > l.txt; wait $!";
+    shell.current_dir(bench.path("")).args(["-c", line, env!("CARGO_BIN_EXE_pvmap")]);
+    cli_common::Run::of(shell).ok();
+    assert_eq!(bench.read("n.txt"), bench.read("n.csv"));
+    assert_eq!(bench.read("l.txt"), bench.read("l.csv"));
+}
+
+#[test]
 fn an_output_that_is_a_link_is_made_where_it_leads() {
     let bench = room();
     std::fs::create_dir(bench.path("there")).unwrap();

@@ -214,19 +214,19 @@ fn of_octree(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Resul
 }
 
 fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<Picture, Error> {
-    let map = Map::open(bytes).map_err(|e| of_query(path, e))?;
+    let map = Map::open(bytes).map_err(|e| Error::of_query(path, e))?;
     let view = map.view();
     let fail = |e| named(path, e);
     // Before anything that takes time: is there such a camera?
     let plain = MapSplats::new(view, ColorBy::Rgb, None, args.radius).map_err(fail)?;
     let camera = camera_of(args, &plain, &view.frame().frame).map_err(fail)?;
-    let color_by = colors_of(args, &map, path)?;
+    let color_by = colors_of(args, &map, path, context)?;
     let ends = match &color_by {
         ColorBy::Values(values) => Some((values.min, values.max)),
         _ => None,
     };
     let seen = match args.visible_from {
-        Some(eye) => Some(seen_from(&map, eye).map_err(|e| of_query(path, e))?),
+        Some(eye) => Some(seen_from(&map, eye).map_err(|e| Error::of_query(path, e))?),
         None => None,
     };
     let is_seen = |id: u32| seen.as_ref().is_some_and(|seen| seen.contains(id));
@@ -244,7 +244,7 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     Ok(picture)
 }
 
-fn colors_of(args: &Args, map: &Map<'_>, path: &Path) -> Result<ColorBy, Error> {
+fn colors_of(args: &Args, map: &Map<'_>, path: &Path, context: &Context) -> Result<ColorBy, Error> {
     let view = map.view();
     Ok(match args.color_by {
         ColorName::Rgb => ColorBy::Rgb,
@@ -252,7 +252,8 @@ fn colors_of(args: &Args, map: &Map<'_>, path: &Path) -> Result<ColorBy, Error> 
         ColorName::Bin => ColorBy::Bin,
         ColorName::Level => ColorBy::Values(values::levels(view, path)?),
         ColorName::SeesCount => {
-            let counts = map.sees_counts().map_err(|e| of_query(path, e))?;
+            let counts =
+                pvmap::sees_counts(map, &context.progress).map_err(|e| Error::of_query(path, e))?;
             ColorBy::Values(Values::new(counts.into_iter().map(|n| n as f32).collect()))
         }
         ColorName::Scalar => {
@@ -331,13 +332,6 @@ fn named(path: &Path, e: RenderError) -> Error {
         RenderError::Write(e) => StoreError::io(path, "write", e).into(),
         RenderError::Stopped => StoreError::Interrupted.into(),
         e => Error::Usage(e.to_string()),
-    }
-}
-
-fn of_query(path: &Path, e: QueryError) -> Error {
-    match e {
-        QueryError::Format(e) => Error::artifact(path, e),
-        e => Error::Query(e),
     }
 }
 

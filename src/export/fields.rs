@@ -204,12 +204,8 @@ impl Values {
                 Found::Other(value) => value,
             });
         }
-        let counts = if has(PointField::SeesCount) {
-            watch.stage("links", None, "links");
-            map.sees_counts()?
-        } else {
-            Vec::new()
-        };
+        let counts =
+            if has(PointField::SeesCount) { crate::sees_counts(map, watch)? } else { Vec::new() };
         let view = map.view();
         let rows = |wanted| if has(wanted) { 0..view.summary().n_surfels } else { 0..0 };
         let levels = rows(PointField::Level).map(|s| Ok(view.surfel(s)?.level));

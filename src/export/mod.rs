@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::{BySource, With, temporary_bytes};
-use pvmap_query::{Map, QueryError, Snap};
+use pvmap_query::{Map, Snap};
 use pvmap_store::output::folder_of;
 use pvmap_store::{ClosedFile, Mapped, StoreError, Watch, memory};
 use pvmap_vmap::octree::{FILE_NAME, Point};
@@ -100,14 +100,6 @@ pub fn write_points(
     })
 }
 
-/// Says which map an error is about, where it is about the map.
-fn of_map(path: &Path, e: Error) -> Error {
-    match e {
-        Error::Query(QueryError::Format(e)) => Error::artifact(path, e),
-        e => e,
-    }
-}
-
 /// Refuses a map of other points.
 fn check_pair(
     request: &ExportRequest,
@@ -153,10 +145,13 @@ fn run(
     }
     let (values, places) = {
         // It keeps what it decodes; all that is gone before the points come.
-        let map = Map::open_within(map_bytes, memory_bytes / 2);
+        let map = Map::open_within(map_bytes, memory_bytes / 4);
         let values =
             map.map_err(Error::from).and_then(|map| Values::of(fields, &map, request.snap, watch));
-        values.map_err(|e| of_map(&request.map, e))?
+        values.map_err(|e| match e {
+            Error::Query(e) => Error::of_query(&request.map, e),
+            e => e,
+        })?
     };
     let tagger = || tagger(&request.map, map);
     let place = (folder, memory_bytes);

@@ -84,11 +84,15 @@ impl<'m, 'a> Lookup<'m, 'a> {
     pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
         let here = |f: &Arc<LinkFrame>| f.first <= (a, b) && (a, b) <= f.last;
         if !self.frame.as_ref().is_some_and(here) {
-            let Some(index) = self.view.find_link_block(a, b)? else { return Ok(false) };
+            let index = self.view.link_block_from(a, b)?;
+            if index == self.view.n_link_blocks() || self.view.first_link(index)? > (a, b) {
+                return Ok(false);
+            }
             self.frame = Some(self.frames.get(self.view, index)?);
         }
         Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
     }
+
     /// Finds the least partner of `a` that is `from` or later, reading the one frame it is in.
     pub(crate) fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
         let here = |f: &Arc<LinkFrame>| f.first <= (a, from) && (a, from) <= f.last;
@@ -97,7 +101,7 @@ impl<'m, 'a> Lookup<'m, 'a> {
             if index == self.view.n_link_blocks() {
                 return Ok(None);
             }
-            let first = self.view.link_block(index)?.first;
+            let first = self.view.first_link(index)?;
             if first >= (a, from) {
                 // The index says it all.
                 return Ok((first.0 == a).then_some(first.1));

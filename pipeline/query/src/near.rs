@@ -11,8 +11,10 @@ use pvmap_vmap::{FormatError, Node, Surfel};
 
 use crate::map::Map;
 
-/// Cells kept. With the usual four leaves each they take some 40 MB, at the most 160 MB.
-const SLOT_BITS: u32 = 16;
+/// Sets of cells, and the cells kept of each. With the usual four leaves a cell all take some 40 MB,
+/// at the most 160 MB.
+const SET_BITS: u32 = 14;
+const N_WAYS: usize = 4;
 /// The most leaves noted for a cell; where more meet it, it is too large to be of use.
 const MAX_LEAVES: usize = 16;
 
@@ -32,13 +34,14 @@ struct Spot {
     leaves: Option<Arc<[NearLeaf]>>,
 }
 
-type Slot = Mutex<Option<Spot>>;
+/// The cells of one hash asked for last, the last first.
+type SpotSet = Mutex<[Option<Spot>; N_WAYS]>;
 
 /// The cells asked for last.
 #[derive(Debug)]
 pub(crate) struct Spots {
     /// Made when they are first needed: opening a map takes less time than that.
-    slots: OnceLock<Box<[Slot]>>,
+    sets: OnceLock<Box<[SpotSet]>>,
     level: u8,
 }
 
@@ -47,7 +50,7 @@ impl Spots {
     pub(crate) fn new(n_surfels: u32) -> Spots {
         // Surfels lie along surfaces: so many cells of level L hold some, 4^L of a plain one.
         let level = (n_surfels.max(1).ilog2() / 2).min(morton::MAX_LEVEL.into()) as u8;
-        Spots { slots: OnceLock::new(), level }
+        Spots { sets: OnceLock::new(), level }
     }
 }
 
@@ -59,10 +62,10 @@ impl Map<'_> {
         let key = morton::cell_range(morton::encode(g), level).start;
         // Fibonacci hashing: the upper bits of the product depend on all of the key.
         let hash = key.rotate_left(u32::from(level) * 3 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let slots = || (0..1 << SLOT_BITS).map(|_| Slot::default()).collect();
-        let slot = &self.spots.slots.get_or_init(slots)[(hash >> (64 - SLOT_BITS)) as usize];
-        let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(spot) = kept().as_ref().filter(|spot| spot.key == key) {
+        let sets = || (0..1 << SET_BITS).map(|_| SpotSet::default()).collect();
+        let set = &self.spots.sets.get_or_init(sets)[(hash >> (64 - SET_BITS)) as usize];
+        let kept = || set.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(spot) = kept().iter().flatten().find(|spot| spot.key == key) {
             return spot.leaves.clone();
         }
         let min = morton::decode(key).map(|v| v as i32);
@@ -70,7 +73,9 @@ impl Map<'_> {
         // Not closed: places on its upper faces are in the next cell.
         let cell = Box3 { min, max: min.map(|v| v + side - 1) };
         let leaves = self.leaves_meeting(&cell).ok()?;
-        *kept() = Some(Spot { key, leaves: leaves.clone() });
+        let mut kept = kept();
+        kept.rotate_right(1);
+        kept[0] = Some(Spot { key, leaves: leaves.clone() });
         leaves
     }
 

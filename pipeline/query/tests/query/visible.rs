@@ -1,7 +1,7 @@
 //! `visible_from` and `sees_counts` against every leaf pair.
 
 use fastrand::Rng;
-use pvmap_query::{Located, Map, SurfelSet};
+use pvmap_query::{Located, Map, QueryError, SurfelSet};
 use pvmap_vmap::{Shape, Tree};
 
 use crate::common::{About, Cut, Parts, grow, random_links, random_points, siblings};
@@ -21,7 +21,8 @@ fn v5_what_a_leaf_sees_is_what_the_predicates_say() {
     for sound in maps(21, 24) {
         let map = Map::open(&sound.file).unwrap();
         assert_eq!(map.view().verify(), Ok(()));
-        let counts = map.sees_counts().unwrap();
+        assert_eq!(map.sees_counts(&|| false), Err(QueryError::Stopped));
+        let counts = map.sees_counts(&|| true).unwrap();
         for a in 0..sound.n_surfels() {
             let found = map.visible_from(&at(&sound.tree, a)).unwrap();
             let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&b| sound.sees(a, b)).collect();
@@ -51,7 +52,7 @@ fn v5_what_a_leaf_sees_is_what_its_links_cover() {
         let about = About { given, links_per_frame, ..About::default() };
         let file = Parts::new(&tree, &links, about).seal();
         let map = Map::open(&file).unwrap();
-        let counts = map.sees_counts().unwrap();
+        let counts = map.sees_counts(&|| true).unwrap();
         let n = tree.surfels.len() as u32;
         for a in 0..n {
             let found = map.visible_from(&at(&tree, a)).unwrap().surfels;
