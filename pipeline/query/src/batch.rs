@@ -28,7 +28,7 @@ impl Map<'_> {
         let answered: Vec<_> = order
             .par_chunks(PIECE)
             .flat_map_iter(|piece| {
-                let mut lookup = Lookup::new(self.view(), &self.frames);
+                let mut lookup = Lookup::new(self);
                 piece.iter().map(move |&i| {
                     let (a, b) = &questions[i];
                     (i, self.pair_with(&mut lookup, a, b))

@@ -33,9 +33,9 @@ impl Map<'_> {
     ///
     /// # Errors
     /// Where what is read of the map is damaged, or `a` or `b` was located on another map and
-    /// this one has no such node.
+    /// this one has no such leaf.
     pub fn pair(&self, a: &Located, b: &Located) -> Result<PairAnswer, QueryError> {
-        self.pair_with(&mut Lookup::new(self.view(), &self.frames), a, b)
+        self.pair_with(&mut Lookup::new(self), a, b)
     }
 
     /// Does what [`Map::pair`] does; the lookup may have the right frame at hand.
@@ -45,10 +45,12 @@ impl Map<'_> {
         a: &Located,
         b: &Located,
     ) -> Result<PairAnswer, QueryError> {
+        self.check_leaf(a)?;
+        self.check_leaf(b)?;
         if a.node == b.node {
             return Ok(PairAnswer { visible: true, link: None });
         }
-        for link in self.links_over(a, b)?.iter() {
+        for link in self.links_over(lookup, a, b)?.iter() {
             if lookup.contains(link)? {
                 return self.seen_by(a, b, link);
             }
@@ -72,12 +74,17 @@ impl Map<'_> {
     }
 
     /// Lists the links that can cover two leaves, in either order.
-    pub(crate) fn links_over(&self, a: &Located, b: &Located) -> Result<LinksOver, FormatError> {
+    fn links_over(
+        &self,
+        lookup: &Lookup<'_, '_>,
+        a: &Located,
+        b: &Located,
+    ) -> Result<LinksOver, FormatError> {
         let (low, high) = (a.node.min(b.node), a.node.max(b.node));
         // Ids rise from a node to those below it and on to those beside it, so the first node over
         // the later leaf that is not after the earlier one is over both.
-        let (after, ancestor) = self.climb(high, low)?;
-        let (before, met) = self.climb(low, ancestor)?;
+        let (after, ancestor) = self.climb(lookup, high, low)?;
+        let (before, met) = self.climb(lookup, low, ancestor)?;
         if met != ancestor {
             return Err(self.broken_node(low, "has no way up to the root"));
         }
@@ -85,13 +92,18 @@ impl Map<'_> {
     }
 
     /// Lists the nodes from `id` up that are after `bound`; gives the first that is not, too.
-    fn climb(&self, mut id: u32, bound: u32) -> Result<(Side, u32), FormatError> {
+    fn climb(
+        &self,
+        lookup: &Lookup<'_, '_>,
+        mut id: u32,
+        bound: u32,
+    ) -> Result<(Side, u32), FormatError> {
         let mut side = Side::default();
         while id > bound {
             if !side.push(id) {
                 return Err(self.broken_node(id, "has no way up to the root"));
             }
-            id = self.view().parent(id)?;
+            id = lookup.parent(id)?;
         }
         Ok((side, id))
     }
@@ -129,7 +141,7 @@ pub(crate) struct LinksOver {
 }
 
 impl LinksOver {
-    /// Walks them, the lowest first: where not all is open most pairs are settled far down.
+    /// Walks them, the highest first: their lists are short and many questions need them.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let [a, b] = &self.sides;
         let n = match (a.len.min(b.len), self.is_given) {

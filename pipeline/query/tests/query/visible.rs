@@ -24,6 +24,9 @@ fn v5_what_a_leaf_sees_is_what_the_predicates_say() {
         assert_eq!(map.sees_counts(&|| false), Err(QueryError::Stopped));
         let counts = map.sees_counts(&|| true).unwrap();
         for a in 0..sound.n_surfels() {
+            if a == sound.n_surfels() / 2 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let found = map.visible_from(&at(&sound.tree, a)).unwrap();
             let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&b| sound.sees(a, b)).collect();
             assert_eq!(ids(&found.surfels), expected, "surfel {a}");
@@ -55,6 +58,9 @@ fn v5_what_a_leaf_sees_is_what_its_links_cover() {
         let counts = map.sees_counts(&|| true).unwrap();
         let n = tree.surfels.len() as u32;
         for a in 0..n {
+            if a == n / 2 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let found = map.visible_from(&at(&tree, a)).unwrap().surfels;
             let sees = |b: u32| map.pair(&at(&tree, a), &at(&tree, b)).unwrap().visible;
             assert_eq!(ids(&found), (0..n).filter(|&b| sees(b)).collect::<Vec<_>>(), "{round}");
@@ -86,5 +92,10 @@ fn a_place_of_another_map_is_refused() {
     for (surfel, node) in [(0, 0), (1, sound.tree.surfels[0].node), (u32::MAX, u32::MAX)] {
         let strange = Located { surfel, node, distance: 0.0 };
         assert!(map.visible_from(&strange).is_err(), "{strange:?}");
+        for keeps in [false, true] {
+            assert!(!keeps || map.keep().unwrap());
+            assert!(map.pair(&strange, &at(&sound.tree, 2)).is_err(), "{strange:?}");
+            assert!(map.pair(&at(&sound.tree, 2), &strange).is_err(), "{strange:?}");
+        }
     }
 }
