@@ -151,7 +151,22 @@ fn open_all(request: &IngestRequest, watch: &dyn Watch) -> Result<Vec<Source>, E
         }
         sources.push(source);
     }
+    warn_of_systems(&sources, watch);
     Ok(sources)
+}
+
+/// Tells where scans name other coordinate reference systems: one alone can be kept. [F-7]
+fn warn_of_systems(sources: &[Source], watch: &dyn Watch) {
+    let mut named = sources.iter().filter(|s| s.info().crs.is_some());
+    let Some(first) = named.next().map(Source::info) else { return };
+    for other in named.map(Source::info).filter(|other| other.crs != first.crs) {
+        watch.warn(&format!(
+            "{}: its coordinate reference system is not that of {}, or in other words; that one is \
+             kept, and coordinates are taken as they are",
+            other.path.display(),
+            first.path.display()
+        ));
+    }
 }
 
 /// Gives the bounds of a source as far as they are known before it is decoded.
@@ -206,6 +221,7 @@ fn plan(source: &Source, bounds: Option<&StoredBounds>) -> SourcePlan {
         }),
         has_class: info.columns.classification,
         has_gps_time: info.columns.gps_time,
+        is_gps_time_since_1980: info.is_gps_time_since_1980,
         has_normal: info.columns.normal,
         crs: info.crs.as_ref().map(|crs| match crs {
             Crs::Wkt(text) => (CrsKind::Wkt, text.clone()),

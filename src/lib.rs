@@ -55,7 +55,10 @@ pub use classes::class_points;
 pub use config::BuildConfig;
 pub use counts::sees_counts;
 pub use error::Error;
-pub use export::{ExportRequest, Exported, PointField, export_points, export_surfels};
+pub use export::{
+    ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file, begin_table,
+    export_points, export_surfels, write_points, write_surfels,
+};
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use pvmap_geometry as geometry;
@@ -66,6 +69,6 @@ pub use pvmap_scan as scan;
 pub use pvmap_scene as scene;
 pub use pvmap_store::map::exit_on_lost_pages;
 pub use pvmap_store::output::{TableFile, folder_of, is_stdout};
-pub use pvmap_store::{Mapped, Quiet, StoreError, Watch, memory};
+pub use pvmap_store::{AtomicFile, ClosedFile, Mapped, Quiet, StoreError, Watch, memory};
 pub use pvmap_visibility::VisibilityError;
 pub use pvmap_vmap as vmap;

@@ -37,6 +37,6 @@ fn the_commands_for_a_scan_of_ones_own_work_as_written() {
             _ => {}
         }
     }
-    let made = ["grotto.laz", "grotto.octree", "grotto.vmap", "rows.csv"];
+    let made = ["grotto.laz", "grotto.octree", "grotto.vmap", "rows.csv", "seen.laz"];
     assert_eq!(bench.names(), made);
 }

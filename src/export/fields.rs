@@ -1,17 +1,23 @@
 //! What a map says of a point, by the surfel it belongs to.
 
-use pvmap_query::{Located, Map, Place, QueryError, Snap};
+use pvmap_geometry::PointBatch;
+use pvmap_geometry::normal::Normal;
+use pvmap_query::{Light, Located, Map, Place, QueryError, Snap};
 use pvmap_scan::{FieldKind, ScalarField};
 use pvmap_store::Watch;
-use pvmap_vmap::FormatError;
+use pvmap_vmap::schema::{ColumnType, Schema};
 
-use super::seen::{Bits, Wanted, look};
+use super::seen::{Bits, lit_by, seen_from};
+use crate::Error;
 
-/// A number that a map gives every point.
+/// A number, or a few, that an export gives every point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PointField {
-    /// 1 where the point's surfel sees that of a place in world units, or is it; else 0.
-    VisibleFrom([f64; 3]),
+    /// 1 where the point's surfel sees that of a place, or is it; else 0.
+    VisibleFrom(Place),
+    /// 1 where light from a place in world units reaches the point's surfel; else 0. The place is
+    /// on a surface if one is near, else in the air.
+    Lit([f64; 3]),
     /// How many other surfels the point's surfel sees.
     SeesCount,
     /// The point's surfel.
@@ -20,129 +26,234 @@ pub enum PointField {
     Level,
     /// The bin of its normal, -1 in a plain tree.
     Bin,
+    /// The normal by which the map was made, three numbers; 0 without one.
+    Normal,
+    /// Which record of its source it is, from 0.
+    Record,
+    /// Which source it is of, from 0.
+    Source,
 }
 
 impl PointField {
-    /// Finds the surfel of its place, if it has one.
-    pub(super) fn locate(&self, map: &Map<'_>, snap: Snap) -> Result<Option<Located>, QueryError> {
-        match *self {
-            PointField::VisibleFrom(position) => {
-                map.locate(&Place { position, normal: None }, snap).map(Some)
+    /// Names it, and says what it is.
+    fn title(&self) -> (&'static str, String) {
+        let (name, words) = match self {
+            PointField::VisibleFrom(Place { position: [x, y, z], normal }) => {
+                let side = normal.map_or(String::new(), |[x, y, z]| format!(",{x},{y},{z}"));
+                return ("visible_from", format!("1 if seen from {x},{y},{z}{side}"));
             }
-            _ => Ok(None),
-        }
+            PointField::Lit([x, y, z]) => return ("lit", format!("1 if lit from {x},{y},{z}")),
+            PointField::SeesCount => ("sees_count", "other surfels its surfel sees"),
+            PointField::Leaf => ("leaf", "its surfel"),
+            PointField::Level => ("level", "level of its surfel's cell"),
+            PointField::Bin => ("bin", "bin of its surfel's normal"),
+            PointField::Normal => ("normal", "normal in the map"),
+            PointField::Record => ("record", "its number in its scan"),
+            PointField::Source => ("source", "number of its scan"),
+        };
+        (name, words.to_owned())
     }
 
-    fn name(&self) -> &'static str {
+    fn kind(&self, schema: &Schema) -> FieldKind {
         match self {
-            PointField::VisibleFrom(_) => "visible_from",
-            PointField::SeesCount => "sees_count",
-            PointField::Leaf => "leaf",
-            PointField::Level => "level",
-            PointField::Bin => "bin",
-        }
-    }
-
-    fn description(&self) -> String {
-        match self {
-            PointField::VisibleFrom([x, y, z]) => format!("1 if seen from {x},{y},{z}"),
-            PointField::SeesCount => "other surfels its surfel sees".to_owned(),
-            PointField::Leaf => "its surfel".to_owned(),
-            PointField::Level => "level of its surfel's cell".to_owned(),
-            PointField::Bin => "bin of its surfel's normal".to_owned(),
-        }
-    }
-
-    fn kind(&self) -> FieldKind {
-        match self {
-            PointField::VisibleFrom(_) | PointField::Level => FieldKind::U8,
-            PointField::SeesCount | PointField::Leaf => FieldKind::U32,
+            PointField::VisibleFrom(_) | PointField::Lit(_) | PointField::Level => FieldKind::U8,
+            PointField::SeesCount | PointField::Leaf | PointField::Source => FieldKind::U32,
             PointField::Bin => FieldKind::I8,
+            PointField::Normal => FieldKind::F32,
+            PointField::Record => match schema.column("record").map(|c| c.kind) {
+                // Exact to 2^53, far more than there are.
+                Some(ColumnType::U64) => FieldKind::F64,
+                _ => FieldKind::U32,
+            },
+        }
+    }
+
+    /// Gives the names of its numbers.
+    fn names(&self, schema: &Schema) -> Vec<&'static str> {
+        match (self, schema.column("normal")) {
+            // As scans name theirs, if they have none.
+            (PointField::Normal, None) => vec!["nx", "ny", "nz"],
+            (PointField::Normal, Some(_)) => vec!["normal_x", "normal_y", "normal_z"],
+            _ => vec![self.title().0],
         }
     }
 }
 
-/// Names the fields: the second of a kind ends in _2, and so on.
-pub(super) fn columns(fields: &[PointField]) -> Vec<ScalarField> {
-    let named = |(i, field): (usize, &PointField)| {
-        let n_before = fields[..i].iter().filter(|f| f.name() == field.name()).count();
-        let name = match n_before {
-            0 => field.name().to_owned(),
-            n => format!("{}_{}", field.name(), n + 1),
-        };
-        ScalarField { name, description: field.description(), kind: field.kind() }
-    };
-    fields.iter().enumerate().map(named).collect()
+/// Names the numbers of fields: those of the second of a kind end in _2, and so on.
+pub(super) fn columns(fields: &[PointField], schema: &Schema) -> Vec<ScalarField> {
+    let mut columns = Vec::new();
+    for (i, field) in fields.iter().enumerate() {
+        let (title, description) = field.title();
+        let n_before = fields[..i].iter().filter(|f| f.title().0 == title).count();
+        for name in field.names(schema) {
+            let name = match n_before {
+                0 => name.to_owned(),
+                n => format!("{name}_{}", n + 1),
+            };
+            let (description, kind) = (description.clone(), field.kind(schema));
+            columns.push(ScalarField { name, description, kind });
+        }
+    }
+    columns
 }
 
 /// Gives the bytes that the values of fields hold in memory.
 pub(super) fn held_bytes(fields: &[PointField], n_surfels: u32) -> u64 {
     let n = u64::from(n_surfels);
-    let of = |field: &PointField| match field {
-        PointField::VisibleFrom(_) => n / 8,
-        PointField::SeesCount => 4 * n,
-        _ => 0,
-    };
-    fields.iter().map(of).sum()
+    let has = |wanted: PointField| u64::from(fields.contains(&wanted));
+    let of_place = |f: &&PointField| matches!(f, PointField::VisibleFrom(_) | PointField::Lit(_));
+    let n_places = fields.iter().filter(of_place).count() as u64;
+    let each = 4 * has(PointField::SeesCount) + has(PointField::Level) + has(PointField::Bin);
+    n_places * n.div_ceil(8) + each * n
 }
 
-/// The values of fields for any surfel.
-pub(super) struct Values<'m, 'a> {
-    map: &'m Map<'a>,
+/// What answers for the place of a field.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlaceAnswer {
+    /// The field's name.
+    pub name: String,
+    /// Its surfel and how far from it the place is, in world units; none in the air.
+    pub surfel: Option<(u32, f64)>,
+}
+
+/// The values of fields for any surfel. It needs the map no more.
+pub(super) struct Values {
     each: Vec<Value>,
+    counts: Vec<u32>,
+    levels: Vec<u8>,
+    bins: Vec<i8>,
 }
 
+/// A field that is ready, or has its place found.
 enum Value {
-    Seen(Bits),
-    Count(Vec<u32>),
+    Bits(Bits),
+    Count,
     Leaf,
     Level,
     Bin,
+    Normal,
+    Record,
+    Source,
 }
 
-impl<'m, 'a> Values<'m, 'a> {
-    /// Prepares the values of fields; `located` has the surfels of their places.
-    pub(super) fn of(
-        fields: &[PointField],
-        located: &[Option<Located>],
-        map: &'m Map<'a>,
-        watch: &dyn Watch,
-    ) -> Result<Values<'m, 'a>, QueryError> {
-        let eyes: Vec<Located> = located.iter().flatten().copied().collect();
-        let counts = fields.iter().filter(|f| matches!(f, PointField::SeesCount)).count();
-        let seen = look(map, &Wanted { eyes: &eyes, counts: counts > 0 }, watch)?;
-        let (mut eyes, counts) = (seen.by_eye.into_iter(), seen.counts);
-        let value = |field: &PointField| match field {
-            PointField::VisibleFrom(_) => eyes.next().map_or(Value::Leaf, Value::Seen),
-            PointField::SeesCount => Value::Count(counts.clone()),
-            PointField::Leaf => Value::Leaf,
-            PointField::Level => Value::Level,
-            PointField::Bin => Value::Bin,
-        };
-        Ok(Values { map, each: fields.iter().map(value).collect() })
+/// A field whose place, if it has one, is found.
+enum Found {
+    Eye(Located),
+    Lamp([f64; 3]),
+    Other(Value),
+}
+
+impl Found {
+    fn of(field: &PointField, map: &Map<'_>, snap: Snap) -> Result<Found, QueryError> {
+        Ok(match *field {
+            PointField::VisibleFrom(place) => Found::Eye(map.locate(&place, snap)?),
+            PointField::Lit(position) => {
+                match map.surface_at(&Place { position, normal: None }, snap)? {
+                    Some(located) => Found::Eye(located),
+                    None => Found::Lamp(position),
+                }
+            }
+            PointField::SeesCount => Found::Other(Value::Count),
+            PointField::Leaf => Found::Other(Value::Leaf),
+            PointField::Level => Found::Other(Value::Level),
+            PointField::Bin => Found::Other(Value::Bin),
+            PointField::Normal => Found::Other(Value::Normal),
+            PointField::Record => Found::Other(Value::Record),
+            PointField::Source => Found::Other(Value::Source),
+        })
     }
 
-    /// Gives the values of points, a column a field, by their surfels.
+    /// Says who answers for the place, if there is one.
+    fn answer(&self) -> Option<Option<(u32, f64)>> {
+        match self {
+            Found::Eye(located) => Some(Some((located.surfel, located.distance))),
+            Found::Lamp(_) => Some(None),
+            Found::Other(_) => None,
+        }
+    }
+}
+
+impl Values {
+    /// Finds the places of fields, then asks the map for the values. `columns` are the fields'.
     ///
     /// # Errors
-    /// Where a surfel cannot be read.
-    pub(super) fn columns(&self, surfels: &[u32]) -> Result<Vec<Vec<f64>>, FormatError> {
-        let view = self.map.view();
-        let column = |value: &Value| -> Result<Vec<f64>, FormatError> {
-            let each = surfels.iter();
-            match value {
-                Value::Seen(bits) => Ok(each.map(|&s| f64::from(bits.has(s))).collect()),
-                // A surfel of no row cannot be: its id is that of a leaf of the tree.
-                Value::Count(counts) => Ok(each
-                    .map(|&s| counts.get(s as usize).copied().map_or(0.0, f64::from))
-                    .collect()),
-                Value::Leaf => Ok(each.map(|&s| f64::from(s)).collect()),
-                Value::Level => each.map(|&s| Ok(f64::from(view.surfel(s)?.level))).collect(),
-                Value::Bin => each.map(|&s| Ok(f64::from(view.surfel(s)?.bin))).collect(),
+    /// Where a place has no surfel, the map is damaged or the run is asked to stop.
+    pub(super) fn of(
+        fields: &[PointField],
+        map: &Map<'_>,
+        snap: Snap,
+        watch: &dyn Watch,
+    ) -> Result<(Values, Vec<PlaceAnswer>), Error> {
+        let found: Result<Vec<_>, _> = fields.iter().map(|f| Found::of(f, map, snap)).collect();
+        let found = found?;
+        let mut answers = Vec::new();
+        for (i, found) in found.iter().enumerate() {
+            if let Some(surfel) = found.answer() {
+                let title = fields[i].title().0;
+                let n_before = fields[..i].iter().filter(|f| f.title().0 == title).count();
+                let end = if n_before > 0 { format!("_{}", n_before + 1) } else { String::new() };
+                answers.push(PlaceAnswer { name: format!("{title}{end}"), surfel });
             }
-        };
-        self.each.iter().map(column).collect()
+        }
+        let has = |wanted: PointField| fields.contains(&wanted);
+        let mut each = Vec::new();
+        for found in found {
+            each.push(match found {
+                Found::Eye(located) => Value::Bits(seen_from(map, &located, watch)?),
+                Found::Lamp(position) => Value::Bits(lit_by(map, &Light::Air(position), watch)?),
+                Found::Other(value) => value,
+            });
+        }
+        let counts =
+            if has(PointField::SeesCount) { crate::sees_counts(map, watch)? } else { Vec::new() };
+        let view = map.view();
+        let rows = |wanted| if has(wanted) { 0..view.summary().n_surfels } else { 0..0 };
+        let levels = rows(PointField::Level).map(|s| Ok(view.surfel(s)?.level));
+        let bins = rows(PointField::Bin).map(|s| Ok(view.surfel(s)?.bin));
+        let levels = levels.collect::<Result<_, QueryError>>()?;
+        let bins = bins.collect::<Result<_, QueryError>>()?;
+        Ok((Values { each, counts, levels, bins }, answers))
     }
+
+    /// Gives the values of points, a column a number, by their surfels and normals.
+    pub(super) fn columns(
+        &self,
+        batch: &PointBatch,
+        surfels: &[u32],
+        normals: &[Normal],
+    ) -> Vec<Vec<f64>> {
+        // A surfel of no row cannot be: its id is that of a leaf of the tree.
+        fn by_row<T: Copy + Into<f64>>(rows: &[T], surfels: &[u32]) -> Vec<f64> {
+            let value = |&s: &u32| rows.get(s as usize).copied().map_or(0.0, Into::into);
+            surfels.iter().map(value).collect()
+        }
+        let mut columns = Vec::new();
+        for value in &self.each {
+            let column = match value {
+                Value::Bits(bits) => surfels.iter().map(|&s| f64::from(bits.has(s))).collect(),
+                Value::Count => by_row(&self.counts, surfels),
+                Value::Leaf => surfels.iter().map(|&s| f64::from(s)).collect(),
+                Value::Level => by_row(&self.levels, surfels),
+                Value::Bin => by_row(&self.bins, surfels),
+                Value::Record => batch.records.iter().map(|&r| r as f64).collect(),
+                Value::Source => vec![f64::from(batch.source); batch.len()],
+                Value::Normal => {
+                    let along = |axis: usize| normals.iter().map(|n| unit(n)[axis]).collect();
+                    columns.extend([0, 1, 2].map(along));
+                    continue;
+                }
+            };
+            columns.push(column);
+        }
+        columns
+    }
+}
+
+/// Gives a normal of length 1, or zero.
+fn unit(normal: &Normal) -> [f64; 3] {
+    let n = normal.map(f64::from);
+    let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if length > 0.0 { n.map(|v| v / length) } else { n }
 }
 
 #[cfg(test)]
@@ -151,14 +262,41 @@ mod tests {
 
     #[test]
     fn fields_of_one_kind_have_names_of_their_own() {
-        let eye = |x| PointField::VisibleFrom([x, 2.0, -0.5]);
-        let fields = [eye(1.0), PointField::SeesCount, eye(3.0), eye(4.0), PointField::SeesCount];
-        let columns = columns(&fields);
-        let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
-        let expected =
-            ["visible_from", "sees_count", "visible_from_2", "visible_from_3", "sees_count_2"];
+        let eye = |x, normal| PointField::VisibleFrom(Place { position: [x, 2.0, -0.5], normal });
+        let fields = [
+            eye(1.0, None),
+            PointField::SeesCount,
+            eye(3.0, Some([0.0, 0.0, 1.0])),
+            PointField::Normal,
+            eye(4.0, None),
+            PointField::SeesCount,
+            PointField::Lit([0.0; 3]),
+        ];
+        let schema = Schema::new(&[("position", ColumnType::I32x3), ("record", ColumnType::U32)]);
+        let found = columns(&fields, &schema);
+        let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();
+        let expected = [
+            "visible_from",
+            "sees_count",
+            "visible_from_2",
+            "nx",
+            "ny",
+            "nz",
+            "visible_from_3",
+            "sees_count_2",
+            "lit",
+        ];
         assert_eq!(names, expected);
-        assert_eq!(columns[0].description, "1 if seen from 1,2,-0.5");
-        assert_eq!(held_bytes(&fields, 800), 3 * 100 + 2 * 3200);
+        assert_eq!(found[0].description, "1 if seen from 1,2,-0.5");
+        assert_eq!(found[2].description, "1 if seen from 3,2,-0.5,0,0,1");
+        assert_eq!(held_bytes(&fields, 800), 4 * 100 + 3200);
+        let with_normals = Schema::new(&[
+            ("position", ColumnType::I32x3),
+            ("record", ColumnType::U64),
+            ("normal", ColumnType::F32x3),
+        ]);
+        let found = columns(&[PointField::Normal, PointField::Record], &with_normals);
+        assert_eq!(found[0].name, "normal_x");
+        assert_eq!(found[3].kind, FieldKind::F64);
     }
 }

@@ -1,7 +1,10 @@
 //! From a map back onto the user's own points: joins the tree of `vmap`, the answers of `query`,
 //! the way back of `octree` and the writers of `scan`.
 
+mod begin;
+mod columns;
 mod fields;
+mod lattice;
 mod output;
 mod seen;
 mod surfels;
@@ -9,19 +12,20 @@ mod surfels;
 use std::path::{Path, PathBuf};
 
 use pvmap_octree::OctreeError;
-use pvmap_octree::by_source::{BySource, temporary_bytes};
+use pvmap_octree::by_source::{BySource, With, temporary_bytes};
 use pvmap_query::{Map, Snap};
 use pvmap_store::output::folder_of;
-use pvmap_store::{Mapped, StoreError, Watch, memory};
+use pvmap_store::{ClosedFile, Mapped, StoreError, Watch, memory};
 use pvmap_vmap::octree::{FILE_NAME, Point};
 use pvmap_vmap::{MapView, OctreeView, Router};
 
 use crate::build::open_octree;
 use crate::{Error, Limits};
-pub use fields::PointField;
+pub use begin::{Made, begin_file, begin_table};
 use fields::Values;
-use output::Output;
-pub use surfels::export_surfels;
+pub use fields::{PlaceAnswer, PointField};
+pub use output::PointsFile;
+pub use surfels::{export_surfels, write_surfels};
 
 /// Which points to write where, and what to say of them.
 #[derive(Debug, Clone)]
@@ -32,6 +36,8 @@ pub struct ExportRequest {
     pub octree: PathBuf,
     /// The file to make; its ending (.las, .laz, .ply) says how.
     pub output: PathBuf,
+    /// Whether a file of that name may be replaced that no export made.
+    pub overwrite: bool,
     /// What each point gets beside what it has.
     pub fields: Vec<PointField>,
     /// How far from a surface the places of fields may be.
@@ -39,12 +45,14 @@ pub struct ExportRequest {
 }
 
 /// What an export did.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Exported {
     /// Points written.
     pub n_points: u64,
     /// The names of the new fields, in the order they were asked for.
     pub names: Vec<String>,
+    /// What answered for the places of fields.
+    pub places: Vec<PlaceAnswer>,
     /// Bytes of the finished file.
     pub output_bytes: u64,
     /// Bytes written to a temporary file.
@@ -57,27 +65,42 @@ pub struct Exported {
 ///
 /// # Errors
 /// Where an artifact is damaged, the map is not one of the octree, a field's place is not on a
-/// surface, the output has another ending or the name of a scan the octree was made from, the disk
-/// fails or is too small, the budget is too small, or the run is asked to stop; nothing is left
-/// behind then.
+/// surface, the output has another ending or would replace what no export made, the disk fails or
+/// is too small, the budget is too small, or the run is asked to stop; nothing is left behind then.
 pub fn export_points(
     request: &ExportRequest,
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<Exported, Error> {
+    let output = PointsFile::begin(&request.output, request.overwrite)?;
+    let (done, file) = write_points(request, output, limits, watch)?;
+    file.publish(false)?;
+    Ok(done)
+}
+
+/// Does what [`export_points`] does in a file that was begun and gets its name later.
+///
+/// # Errors
+/// Those of [`export_points`].
+pub fn write_points(
+    request: &ExportRequest,
+    output: PointsFile,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<(Exported, ClosedFile), Error> {
     let points = request.octree.join(FILE_NAME);
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
-    let map = Map::open(&map_bytes).map_err(|e| Error::of_query(&request.map, e))?;
-    check_pair(request, map.view(), &octree)?;
-    let done = limits.run(|| run(request, &map, &octree, limits, watch))?;
+    let map = MapView::open(&map_bytes).map_err(|e| Error::artifact(&request.map, e))?;
+    check_pair(request, &map, &octree)?;
+    let done = limits.run(|| run(request, output, (&map_bytes, &map), &octree, limits, watch))?;
     done.map_err(|e| match e {
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
     })
 }
 
-/// Refuses a map of other points, and an output that would replace a scan.
+/// Refuses a map of other points.
 fn check_pair(
     request: &ExportRequest,
     map: &MapView<'_>,
@@ -94,55 +117,60 @@ fn check_pair(
              or build a map of this one"
         )));
     }
-    let name = request.output.file_name().unwrap_or_default();
-    for source in octree.sources() {
-        let of_scan = octree.source_name(source).map_err(OctreeError::from)?;
-        if *name == *of_scan && request.output.exists() {
-            return Err(Error::Usage(format!(
-                "{}: a scan that the octree was made from has that name, and more in it than an \
-                 export keeps; give another",
-                request.output.display()
-            )));
-        }
-    }
     Ok(())
 }
 
 fn run(
     request: &ExportRequest,
-    map: &Map<'_>,
+    output: PointsFile,
+    (map_bytes, map): (&[u8], &MapView<'_>),
     octree: &OctreeView<'_>,
     limits: &Limits,
     watch: &dyn Watch,
-) -> Result<Exported, Error> {
-    let output = Output::of(&request.output)?;
-    let held_bytes = fields::held_bytes(&request.fields, map.view().summary().n_surfels);
+) -> Result<(Exported, ClosedFile), Error> {
+    let fields = &request.fields;
+    // Where the output is a link, the folder of what it points at.
+    let beside = output.temp_path().to_path_buf();
+    let folder = folder_of(&beside);
+    let held_bytes = fields::held_bytes(fields, map.summary().n_surfels);
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
-    let names = fields::columns(&request.fields);
-    require_disk(request, octree, output.estimate_bytes(octree, &names), memory_bytes, watch)?;
-    let located: Result<Vec<_>, _> =
-        request.fields.iter().map(|f| f.locate(map, request.snap)).collect();
-    let located = located.map_err(|e| Error::of_query(&request.map, e))?;
-    let values = Values::of(&request.fields, &located, map, watch)
-        .map_err(|e| Error::of_query(&request.map, e))?;
-    let folder = folder_of(&request.output);
-    let tagger = || tagger(&request.map, map.view());
-    let all = BySource::gather::<Error, _>(octree, folder, memory_bytes, tagger, watch)?;
+    let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
+    let names = fields::columns(fields, octree.schema());
+    let temporary = temporary_bytes(octree, with, memory_bytes);
+    output.require_disk(octree, &names, temporary, watch)?;
+    if temporary > 0 {
+        let (mib, folder) = ((temporary >> 20) + 1, folder.display());
+        watch.note(&format!("needs about {mib} MiB of temporary disk in {folder}"));
+    }
+    let (values, places) = {
+        // It keeps what it decodes; all that is gone before the points come.
+        let map = Map::open_within(map_bytes, memory_bytes / 4);
+        let values =
+            map.map_err(Error::from).and_then(|map| Values::of(fields, &map, request.snap, watch));
+        values.map_err(|e| match e {
+            Error::Query(e) => Error::of_query(&request.map, e),
+            e => e,
+        })?
+    };
+    let tagger = || tagger(&request.map, map);
+    let place = (folder, memory_bytes);
+    let all = BySource::gather::<Error, _>(octree, with, place, tagger, watch)?;
     let spilled_bytes = all.spilled_bytes();
-    let mut writer = output.start(octree, &names, all.seen(), watch)?;
-    all.each(|batch, surfels| {
-        let columns = values.columns(surfels).map_err(|e| Error::artifact(&request.map, e))?;
-        writer.write(batch, &columns)
+    let mut writer = output.start(octree, (fields, &names), all.seen(), watch)?;
+    all.each(|batch, tags| {
+        writer.write(batch, values.columns(batch, &tags.numbers, &tags.normals))
     })?;
-    writer.finish()?;
-    let len = std::fs::metadata(&request.output).map(|m| m.len());
-    Ok(Exported {
+    let file = writer.close()?;
+    let len = std::fs::metadata(file.temp_path()).map(|m| m.len());
+    let done = Exported {
         n_points: octree.summary().n_points,
         names: names.into_iter().map(|f| f.name).collect(),
+        places,
         output_bytes: len.map_err(|e| StoreError::io(&request.output, "look at", e))?,
         temporary_bytes: spilled_bytes,
-    })
+    };
+    Ok((done, file))
 }
 
 /// Makes what gives a point the surfel of the leaf it is routed to. [D-3]
@@ -159,23 +187,4 @@ fn tagger<'m>(
         ))),
         Err(e) => Err(Error::artifact(path, e)),
     }
-}
-
-/// Says how much disk the export takes, and refuses it where there is less. (F21)
-fn require_disk(
-    request: &ExportRequest,
-    octree: &OctreeView<'_>,
-    output_bytes: u64,
-    memory_bytes: u64,
-    watch: &dyn Watch,
-) -> Result<(), Error> {
-    let temporary = temporary_bytes(octree, memory_bytes);
-    if temporary > 0 {
-        watch.note(&format!(
-            "needs about {} MiB of temporary disk in {}",
-            (temporary >> 20) + 1,
-            folder_of(&request.output).display()
-        ));
-    }
-    Ok(memory::require_disk(&request.output, output_bytes.saturating_add(temporary))?)
 }

@@ -1,66 +1,60 @@
 //! What surfels see.
 
-use std::ops::Range;
-
-use pvmap_query::{Located, Map, QueryError};
+use pvmap_query::{Light, Located, Map, QueryError, Sight};
 use pvmap_store::Watch;
+use rayon::prelude::*;
+
+use crate::Error;
+
+/// Surfels of a word of bits.
+const WORD_SURFELS: u32 = u64::BITS;
 
 /// A set of surfels, a bit each.
 pub(super) struct Bits(Vec<u64>);
 
 impl Bits {
-    fn none(n_surfels: u32) -> Bits {
-        Bits(vec![0; n_surfels.div_ceil(64) as usize])
-    }
-
-    fn add(&mut self, surfels: Range<u32>) {
-        for surfel in surfels {
-            if let Some(word) = self.0.get_mut(surfel as usize / 64) {
-                *word |= 1 << (surfel % 64);
-            }
-        }
-    }
-
     /// Says whether it has a surfel.
     pub(super) fn has(&self, surfel: u32) -> bool {
-        self.0.get(surfel as usize / 64).is_some_and(|word| word >> (surfel % 64) & 1 == 1)
+        let word = self.0.get((surfel / WORD_SURFELS) as usize);
+        word.is_some_and(|word| word >> (surfel % WORD_SURFELS) & 1 == 1)
     }
 }
 
-/// What is asked.
-pub(super) struct Wanted<'a> {
-    /// Places whose visible surfels are asked for.
-    pub(super) eyes: &'a [Located],
-    /// Whether it is asked how many others each surfel sees.
-    pub(super) counts: bool,
-}
-
-/// What was found.
-pub(super) struct Found {
-    /// For each eye what it sees, its own surfel included. [V-6]
-    pub(super) by_eye: Vec<Bits>,
-    /// How many others each surfel sees; empty where that was not asked.
-    pub(super) counts: Vec<u32>,
-}
-
-/// Asks the map.
-pub(super) fn look(
+/// Finds what an eye sees, its own surfel included. [V-6]
+pub(super) fn seen_from(
     map: &Map<'_>,
-    wanted: &Wanted<'_>,
+    eye: &Located,
     watch: &dyn Watch,
-) -> Result<Found, QueryError> {
-    let n_surfels = map.view().summary().n_surfels;
-    if !wanted.eyes.is_empty() {
-        watch.stage("links", None, "links");
+) -> Result<Bits, QueryError> {
+    watch.stage("links", None, "links");
+    let n_words = map.view().summary().n_surfels.div_ceil(WORD_SURFELS);
+    let mut words = vec![0u64; n_words as usize];
+    for surfel in map.visible_from(eye)?.surfels.ids() {
+        if let Some(word) = words.get_mut((surfel / WORD_SURFELS) as usize) {
+            *word |= 1 << (surfel % WORD_SURFELS);
+        }
     }
-    let of_eye = |eye: &Located| {
-        let mut bits = Bits::none(n_surfels);
-        let seen = map.visible_from(eye)?.surfels;
-        seen.ranges().iter().for_each(|range| bits.add(range.clone()));
-        Ok::<_, QueryError>(bits)
+    Ok(Bits(words))
+}
+
+/// Finds what a light reaches, surfel by surfel, on all threads.
+pub(super) fn lit_by(map: &Map<'_>, light: &Light<'_>, watch: &dyn Watch) -> Result<Bits, Error> {
+    let n_surfels = map.view().summary().n_surfels;
+    watch.stage("light", Some(n_surfels.into()), "surfels");
+    let is_lit = |surfel: u32| -> Result<bool, QueryError> {
+        let node = map.view().surfel(surfel)?.node;
+        let place = Located { surfel, node, distance: 0.0 };
+        Ok(map.shadow(&place, light)?.reaches == Sight::All)
     };
-    Ok(Found {
-        by_eye: wanted.eyes.iter().map(of_eye).collect::<Result<_, _>>()?,
-        counts: if wanted.counts { crate::sees_counts(map, watch)? } else { Vec::new() },
-    })
+    let word = |first: u32| -> Result<u64, Error> {
+        watch.check()?;
+        let mut word = 0;
+        for surfel in first..n_surfels.min(first + WORD_SURFELS) {
+            word |= u64::from(is_lit(surfel)?) << (surfel - first);
+        }
+        watch.advance(u64::from(n_surfels.min(first + WORD_SURFELS) - first));
+        Ok(word)
+    };
+    let firsts = (0..n_surfels.div_ceil(WORD_SURFELS)).into_par_iter().map(|i| i * WORD_SURFELS);
+    Ok(Bits(firsts.map(word).collect::<Result<_, _>>()?))
 }

@@ -5,21 +5,40 @@ use std::path::Path;
 use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::normal::Normal;
 use pvmap_geometry::{Frame, PointBatch, Positions};
-use pvmap_scan::{ColorRange, FieldKind, PlyColumns, PlyWriter, ScalarField};
-use pvmap_store::{Mapped, Watch};
+use pvmap_scan::{ColorRange, FieldKind, PlyColumns, PlyExtras, PlyWriter, ScalarField};
+use pvmap_store::{AtomicFile, ClosedFile, Mapped, Watch};
 use pvmap_vmap::{MapView, Surfel};
 
+use super::begin::{Made, PLY_COMMENT, begin_file};
 use crate::Error;
 
 /// Surfels written at a time.
 const BATCH_SURFELS: u32 = 1 << 14;
 
 /// Writes the surfels of a map as a PLY of discs in scan units: x y z, nx ny nz, red green blue if
-/// any has a colour, radius, n_points, level, bin and surfel.
+/// any has a colour, radius, n_points, level, bin and surfel. A file that no export made is
+/// replaced only by `overwrite`.
 ///
 /// # Errors
 /// Where the map is damaged, the file cannot be written or the run is asked to stop.
-pub fn export_surfels(map: &Path, output: &Path, watch: &dyn Watch) -> Result<(), Error> {
+pub fn export_surfels(
+    map: &Path,
+    output: &Path,
+    overwrite: bool,
+    watch: &dyn Watch,
+) -> Result<(), Error> {
+    Ok(write_surfels(map, begin_file(output, Made::Ply, overwrite)?, watch)?.publish(false)?)
+}
+
+/// Does what [`export_surfels`] does in a file that was begun and gets its name later.
+///
+/// # Errors
+/// Those of [`export_surfels`].
+pub fn write_surfels(
+    map: &Path,
+    output: AtomicFile,
+    watch: &dyn Watch,
+) -> Result<ClosedFile, Error> {
     let bytes = Mapped::open(map)?;
     let damaged = |e| Error::artifact(map, e);
     let view = MapView::open(&bytes).map_err(damaged)?;
@@ -35,7 +54,9 @@ pub fn export_surfels(map: &Path, output: &Path, watch: &dyn Watch) -> Result<()
         color: has_color.then_some(ColorRange::Eight),
         ..PlyColumns::default()
     };
-    let mut ply = PlyWriter::create_with(output, n_surfels.into(), columns, &fields())?;
+    let comments = vec![PLY_COMMENT.to_owned()];
+    let extras = PlyExtras { comments, fields: fields().to_vec() };
+    let mut ply = PlyWriter::create_in(output, n_surfels.into(), columns, &extras)?;
     for first in (0..n_surfels).step_by(BATCH_SURFELS as usize) {
         watch.check()?;
         let ids = first..n_surfels.min(first.saturating_add(BATCH_SURFELS));
@@ -45,7 +66,7 @@ pub fn export_surfels(map: &Path, output: &Path, watch: &dyn Watch) -> Result<()
         ply.write_with(&batch, &values)?;
         watch.advance(surfels.len() as u64);
     }
-    Ok(ply.finish()?)
+    Ok(ply.close()?)
 }
 
 /// What a disc has beside place, normal and colour.

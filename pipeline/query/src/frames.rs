@@ -12,6 +12,8 @@ use crate::map::Map;
 /// Link frames kept. One of pvmap's own takes some 50 kB decoded, so all take some 50 MB. Of the
 /// largest frames that [F-18] allows one takes 0.2 MB and all take 200 MB.
 const N_SLOTS: usize = 1024;
+/// What a frame takes at the most.
+const FRAME_BYTES: u64 = 200_000;
 
 /// A decoded link frame.
 #[derive(Debug)]
@@ -22,7 +24,7 @@ struct LinkFrame {
     lists: LinkLists,
 }
 
-/// The frames decoded last: frame i in slot i modulo [`N_SLOTS`].
+/// The frames decoded last: frame i in slot i modulo their number.
 #[derive(Debug)]
 pub(crate) struct LinkFrames {
     slots: Box<[Mutex<Option<Arc<LinkFrame>>>]>,
@@ -31,12 +33,21 @@ pub(crate) struct LinkFrames {
 
 impl Default for LinkFrames {
     fn default() -> LinkFrames {
-        let slots = (0..N_SLOTS).map(|_| Mutex::default()).collect();
-        LinkFrames { slots, n_decoded: AtomicU64::new(0) }
+        LinkFrames::new(N_SLOTS)
     }
 }
 
 impl LinkFrames {
+    fn new(n_slots: usize) -> LinkFrames {
+        let slots = (0..n_slots).map(|_| Mutex::default()).collect();
+        LinkFrames { slots, n_decoded: AtomicU64::new(0) }
+    }
+
+    /// Makes room for frames of so many bytes, one at the least.
+    pub(crate) fn within(bytes: u64) -> LinkFrames {
+        LinkFrames::new((bytes / FRAME_BYTES).clamp(1, N_SLOTS as u64) as usize)
+    }
+
     /// Counts the frames decoded so far, those decoded again too.
     pub(crate) fn n_decoded(&self) -> u64 {
         self.n_decoded.load(Ordering::Relaxed)
@@ -44,7 +55,7 @@ impl LinkFrames {
 
     /// Gives a frame, decoding it unless it is still here.
     fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<LinkFrame>, FormatError> {
-        let slot = &self.slots[(index % N_SLOTS as u64) as usize];
+        let slot = &self.slots[(index % self.slots.len() as u64) as usize];
         let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(frame) = kept().as_ref().filter(|frame| frame.index == index) {
             return Ok(Arc::clone(frame));

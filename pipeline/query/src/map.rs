@@ -47,6 +47,15 @@ impl<'a> Map<'a> {
         Ok(Map { view, profile, from_given_pairs, frames, kept })
     }
 
+    /// Does what [`Map::open`] does, for a map that keeps decoded links in so many bytes at the
+    /// most.
+    ///
+    /// # Errors
+    /// Those of [`Map::open`].
+    pub fn open_within(bytes: &'a [u8], cache_bytes: u64) -> Result<Map<'a>, QueryError> {
+        Ok(Map { frames: LinkFrames::within(cache_bytes), ..Map::open(bytes)? })
+    }
+
     /// Gives the file behind the answers.
     pub fn view(&self) -> &MapView<'a> {
         &self.view

@@ -11,6 +11,8 @@ pub enum FieldKind {
     U32,
     /// One f32.
     F32,
+    /// One f64.
+    F64,
 }
 
 impl FieldKind {
@@ -19,6 +21,7 @@ impl FieldKind {
         match self {
             FieldKind::U8 | FieldKind::I8 => 1,
             FieldKind::U32 | FieldKind::F32 => 4,
+            FieldKind::F64 => 8,
         }
     }
 
@@ -31,6 +34,7 @@ impl FieldKind {
             FieldKind::I8 => out.extend_from_slice(&(value as i8).to_le_bytes()),
             FieldKind::U32 => out.extend_from_slice(&(value as u32).to_le_bytes()),
             FieldKind::F32 => out.extend_from_slice(&(value as f32).to_le_bytes()),
+            FieldKind::F64 => out.extend_from_slice(&value.to_le_bytes()),
         }
     }
 }
@@ -42,7 +46,8 @@ impl FieldKind {
 pub struct ScalarField {
     /// Its name: letters, digits and underscores; LAS takes 31 of them.
     pub name: String,
-    /// What it says, in ASCII on one line; LAS keeps the first 31 characters.
+    /// What it says, in ASCII on one line. LAS has 31 characters for it: where that is less, it is
+    /// cut at a comma or a space there, and stands whole in a record of user id "pvmap".
     pub description: String,
     /// How it is stored.
     pub kind: FieldKind,
@@ -81,6 +86,7 @@ mod tests {
             (FieldKind::U32, 4_294_967_295.0, vec![255; 4]),
             (FieldKind::U32, f64::NAN, vec![0; 4]),
             (FieldKind::F32, 0.5, 0.5f32.to_le_bytes().to_vec()),
+            (FieldKind::F64, 0.1, 0.1f64.to_le_bytes().to_vec()),
         ] {
             let mut out = Vec::new();
             kind.put(value, &mut out);

@@ -25,7 +25,7 @@ pub use field::{FieldKind, ScalarField};
 pub use las::laz::is_decoding;
 pub use las::write::{LasContent, LasOptions, LasWriter};
 pub use ply::mesh::{MeshData, MeshMemory, MeshWriter, read_mesh};
-pub use ply::write::{PlyColumns, PlyWriter};
+pub use ply::write::{PlyColumns, PlyExtras, PlyWriter};
 pub use source::{
     ColorRange, Columns, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, Source,
     SourceInfo, StoredBounds,

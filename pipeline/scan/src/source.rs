@@ -148,6 +148,9 @@ pub struct SourceInfo {
     pub columns: Columns,
     /// The coordinate reference system, if the file names one.
     pub crs: Option<Crs>,
+    /// Whether GPS times are seconds since 1980, less 1e9, instead of a week's; none where the
+    /// file has none or does not say.
+    pub is_gps_time_since_1980: Option<bool>,
     /// What the user should know, a line each.
     pub warnings: Vec<String>,
 }

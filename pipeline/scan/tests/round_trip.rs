@@ -8,8 +8,10 @@ use std::path::Path;
 use common::{Point, STRICT, points, read, read_parts};
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_scan::{
-    ColorRange, Crs, ErrorKind, LasOptions, LasWriter, PlyColumns, PlyWriter, ScanError, Source,
+    ColorRange, Crs, ErrorKind, FieldKind, LasContent, LasOptions, LasWriter, PlyColumns,
+    PlyExtras, PlyWriter, ScalarField, ScanError, Source,
 };
+use pvmap_store::AtomicFile;
 
 /// Points `first..first + n` of a made-up scan on a lattice of 1 mm.
 fn batch(first: u64, n: u64) -> PointBatch {
@@ -204,4 +206,56 @@ fn geotiff_records_are_taken_apart_as_they_were_put_together() {
     for n in 0..n_needed {
         assert_eq!(Crs::of_geotiff(&all[..n]), None, "{n} bytes");
     }
+}
+
+#[test]
+fn how_long_a_file_gets_is_known_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let field = |name: &str, kind| ScalarField {
+        name: name.to_owned(),
+        description: "a text that has no room where it belongs, so".to_owned(),
+        kind,
+    };
+    let fields = vec![field("a", FieldKind::U8), field("b", FieldKind::F64)];
+    let values = |n: usize| vec![vec![1.0; n], vec![0.1; n]];
+    let long = Some(Crs::Wkt(vec![b'x'; 100_000]));
+    let keys = [1u16, 1, 0, 1, 1024, 0, 1, 1].into_iter().flat_map(u16::to_le_bytes).collect();
+    let tiff = Some(Crs::GeoTiff { keys, doubles: Vec::new(), texts: vec![b'x'; 70_000] });
+    for (crs, color, gps_time) in
+        [(None, true, true), (None, false, true), (long, true, true), (tiff, false, false)]
+    {
+        let plain = LasContent { color, gps_time, crs, ..LasContent::default() };
+        let content = LasContent { fields: fields.clone(), ..plain };
+        let path = folder.path().join("a.las");
+        let mut writer = LasWriter::create_with(&path, OPTIONS, &content).unwrap();
+        writer.write_with(&batch(0, 32), &values(32)).unwrap();
+        writer.finish().unwrap();
+        let n_bytes = std::fs::metadata(&path).unwrap().len();
+        assert_eq!(LasWriter::file_bytes(OPTIONS, &content, 32).unwrap(), n_bytes);
+        assert_eq!(Source::open(&path, 0, STRICT).unwrap().info().crs, content.crs);
+    }
+    let all = PlyColumns {
+        double: true,
+        normal: true,
+        color: Some(ColorRange::Eight),
+        intensity: true,
+        classification: true,
+        gps_time: true,
+    };
+    let extras = PlyExtras { comments: vec!["mine".to_owned()], fields };
+    for columns in
+        [all, PlyColumns::default(), PlyColumns { color: Some(ColorRange::Sixteen), ..all }]
+    {
+        let path = folder.path().join("a.ply");
+        let file = AtomicFile::create(&path).unwrap();
+        let mut writer = PlyWriter::create_in(file, 32, columns, &extras).unwrap();
+        writer.write_with(&batch(0, 32), &values(32)).unwrap();
+        writer.finish().unwrap();
+        let n_bytes = std::fs::metadata(&path).unwrap().len();
+        assert_eq!(PlyWriter::file_bytes(32, columns, &extras), n_bytes);
+    }
+    let comments = vec!["two\nlines".to_owned()];
+    let extras = PlyExtras { comments, ..PlyExtras::default() };
+    let file = AtomicFile::create(&folder.path().join("b.ply")).unwrap();
+    assert!(PlyWriter::create_in(file, 0, all, &extras).is_err());
 }

@@ -28,7 +28,7 @@ pub use error::StoreError;
 pub use input::InputFile;
 pub use log::Log;
 pub use map::Mapped;
-pub use output::{AtomicFile, AtomicFolder};
+pub use output::{AtomicFile, AtomicFolder, ClosedFile, TableFile};
 pub use sections::SectionFile;
 pub use spill::Spill;
 pub use table::Table;

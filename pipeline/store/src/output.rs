@@ -121,6 +121,11 @@ pub struct ClosedFile {
 }
 
 impl ClosedFile {
+    /// Gives the name it has until it is published.
+    pub fn temp_path(&self) -> &Path {
+        &self.temp
+    }
+
     /// Gives the file its final name, replacing what was there.
     ///
     /// # Errors
@@ -165,14 +170,17 @@ pub struct TableFile {
 enum Sink {
     File(AtomicFile),
     Stream(File),
+    /// A FIFO or device that is opened when something is to be written.
+    Waiting(PathBuf),
 }
 
 impl TableFile {
     /// Starts a table: on standard output for `-` or `/dev/stdout`, in a FIFO or a character
-    /// device that has that name, else in an [`AtomicFile`]. A FIFO waits for its reader.
+    /// device that has that name, else in an [`AtomicFile`]. What is written first to a FIFO waits
+    /// for its reader: several may be started before any is read.
     ///
     /// # Errors
-    /// Those of [`AtomicFile::create`], and where a stream cannot be opened.
+    /// Those of [`AtomicFile::create`], and where standard output is closed.
     pub fn create(path: &Path) -> Result<TableFile, StoreError> {
         let fail = |e| StoreError::io(path, "open", e);
         let sink = if is_stdout(path) {
@@ -181,7 +189,7 @@ impl TableFile {
         } else {
             match standing(path)? {
                 (target, Some(kind)) if kind.is_fifo() || kind.is_char_device() => {
-                    Sink::Stream(File::options().write(true).open(target).map_err(fail)?)
+                    Sink::Waiting(target)
                 }
                 _ => Sink::File(AtomicFile::create(path)?),
             }
@@ -199,25 +207,42 @@ impl TableFile {
     /// # Errors
     /// Those of [`AtomicFile::commit`].
     pub fn commit(self) -> Result<(), StoreError> {
+        self.close()?.map_or(Ok(()), |file| file.publish(false))
+    }
+
+    /// Ends the table; a file is durable and has yet to get its name.
+    ///
+    /// # Errors
+    /// Those of [`AtomicFile::close`].
+    pub fn close(self) -> Result<Option<ClosedFile>, StoreError> {
         match self.sink {
-            Sink::File(file) => file.commit(),
-            Sink::Stream(_) => Ok(()),
+            Sink::File(file) => file.close().map(Some),
+            Sink::Stream(_) | Sink::Waiting(_) => Ok(None),
+        }
+    }
+
+    fn out(&mut self) -> io::Result<&mut dyn Write> {
+        if let Sink::Waiting(target) = &self.sink {
+            self.sink = Sink::Stream(File::options().write(true).open(target)?);
+        }
+        match &mut self.sink {
+            Sink::File(file) => Ok(file),
+            Sink::Stream(stream) => Ok(stream),
+            Sink::Waiting(_) => Err(io::ErrorKind::NotConnected.into()),
         }
     }
 }
 
 impl Write for TableFile {
     fn write(&mut self, buf: &[u8]) -> io::Result<usize> {
-        match &mut self.sink {
-            Sink::File(file) => file.write(buf),
-            Sink::Stream(stream) => stream.write(buf),
-        }
+        self.out()?.write(buf)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.sink {
-            Sink::File(file) => file.flush(),
-            Sink::Stream(stream) => stream.flush(),
+        match self.sink {
+            // Nothing was written that could be.
+            Sink::Waiting(_) => Ok(()),
+            _ => self.out()?.flush(),
         }
     }
 }

@@ -4,6 +4,7 @@ use pvmap_geometry::normal::Normal;
 use pvmap_geometry::{Box3, morton};
 
 use crate::bytes::{FieldReader, FieldWriter};
+use crate::schema::COLUMN_NAMES;
 
 /// The parent of the root.
 pub const NO_PARENT: u32 = u32::MAX;
@@ -425,6 +426,10 @@ pub struct Source {
     pub shift: [i64; 3],
     /// 0 no colour, 8 or 16 bits used.
     pub color_depth: u32,
+    /// 0 none or unknown, 1 seconds of a week, 2 seconds since 1980.
+    pub gps_time: u32,
+    /// Bit i: it has the i-th of the columns that there can be; 0 where that was not noted.
+    pub columns: u32,
 }
 
 impl Record for Source {
@@ -440,6 +445,8 @@ impl Record for Source {
         w.three(self.offset, FieldWriter::f64);
         w.three(self.shift, FieldWriter::i64);
         w.u32(self.color_depth);
+        w.u32(self.gps_time);
+        w.u32(self.columns);
     }
 
     fn read(r: &mut FieldReader<'_>) -> Option<Source> {
@@ -452,9 +459,15 @@ impl Record for Source {
             offset: r.three(FieldReader::f64),
             shift: r.three(FieldReader::i64),
             color_depth: r.u32(),
+            gps_time: r.u32(),
+            columns: r.u32(),
         };
+        let known = source.gps_time <= 2 && source.columns >> COLUMN_NAMES.len() == 0;
         let finite = source.scale.iter().chain(&source.offset).all(|v| v.is_finite());
-        (finite && (1..=3).contains(&source.format) && matches!(source.color_depth, 0 | 8 | 16))
-            .then_some(source)
+        (known
+            && finite
+            && (1..=3).contains(&source.format)
+            && matches!(source.color_depth, 0 | 8 | 16))
+        .then_some(source)
     }
 }

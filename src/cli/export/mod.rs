@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::{Error, PointField, folder_of};
+use pvmap::{AtomicFile, Error, Made, PointField, PointsFile, begin_file, folder_of};
 
 use super::{Context, Outcome, refuse_input, threads_parser};
 
@@ -19,20 +19,36 @@ Points (--points, with the octree that the map was built from): all points of al
 file, in the order of the scans as they were given to pvmap ingest and of the records in them,
 each with its coordinates, colour, intensity, class, GPS time and normal where the scans have
 them, and with the new fields. Steps of a LAS stay the whole numbers they were; coordinates of a
-PLY, or of scans on different lattices, are rounded to steps in a LAS, and intensities to whole
-numbers; in a PLY they are not. Returns, scan angles, flags and user data are not in an octree: in
-a LAS every point is a single return.
+PLY, or of scans on different lattices, are rounded to steps in a LAS, not in a PLY. Intensities
+that are no whole numbers of 16 bits are scaled in a LAS, and intensity_f32 has what they were. A
+PLY has colours of 8 bits. What else is less than in the scans is said in warnings.
+
+Not in an octree, and so not in an export: of LAS the returns, scan angles, flags, user data, point
+source id, scanner channel, near infrared, wave packets and extra bytes other than normals, and of
+the file its id, GUID, dates and all records but its coordinate reference system; of PLY all other
+properties and elements, comments, and the types of colours and intensities. In a LAS every point
+is a single return. Keep your scans; --field record and source say which point of them is which.
 
 Fields:
   visible-from=X,Y,Z   visible_from: 1 where the surfel of a point sees that of the place, or is
-                       it, else 0
+                       it, else 0; X,Y,Z,NX,NY,NZ gives the normal of the surface it is on, too
+  lit=X,Y,Z            lit: 1 where light from the place reaches the surfel of a point, else 0; the
+                       place is a lamp or scanner in the air, or on a surface if one is near
   sees-count           sees_count: how many other surfels its surfel sees
   leaf                 leaf: its surfel, as in the tables
   level                level: of the surfel's cell; the whole cube has 0
   bin                  bin: of the surfel's normal, 0 to 5 for +x -x +y -y +z -z, 6 without one,
                        -1 in a plain tree
+  normal               nx, ny, nz: the normal that the map was made by, estimated ones too, 0
+                       without one; normal_x, ... where the scans have normals, which are nx, ...
+  record               record: which record of its scan the point is, from 0
+  source               source: which scan it is of, from 0
 A field of a kind that was given before is named visible_from_2, then visible_from_3, ...
-LAS has fields as extra bytes, PLY as properties of a vertex.
+LAS has fields as extra bytes. PLY has them as properties of a vertex, behind x y z nx ny nz red
+green blue intensity classification gps_time, of which those stand that the scans have.
+
+A file that is there is replaced only if pvmap export made it, or with --overwrite: a scan never is
+otherwise. All outputs are begun before any work, and get their names together when all is done.
 
 Points that --memory does not hold wait in a nameless temporary file beside the output; how much
 is said before, and the disk must have it.
@@ -51,8 +67,8 @@ Columns:
   links     node_a, node_b: all surfels below the one see all below the other
 
 Examples:
-  pvmap export grotto.vmap --octree grotto.octree --points seen.las --field visible-from=1,2,3
-  pvmap export grotto.vmap --octree grotto.octree --points all.ply --field sees-count --field leaf
+  pvmap export grotto.vmap --points seen.laz --field visible-from=1,2,3
+  pvmap export grotto.vmap --octree site.octree --points all.ply --field sees-count --field leaf
   pvmap export grotto.vmap --surfels discs.ply
   pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
   pvmap export grotto.vmap --links - | head")]
@@ -60,11 +76,12 @@ pub(super) struct Args {
     /// The map, as pvmap build makes it
     #[arg(value_name = "NAME.vmap")]
     map: PathBuf,
-    /// The octree that the map was built from
-    #[arg(long, value_name = "NAME.octree", requires = "points")]
+    /// The octree that the map was built from, where the points are
+    /// [default: the map's name with .octree]
+    #[arg(long, value_name = "NAME.octree", requires = "points", verbatim_doc_comment)]
     octree: Option<PathBuf>,
     /// Where the points go: a .las, .laz or .ply [default: nowhere]
-    #[arg(long, value_name = "OUT.las", requires = "octree")]
+    #[arg(long, value_name = "LAS|LAZ|PLY")]
     points: Option<PathBuf>,
     /// What each point gets beside what it has, as below; repeatable
     #[arg(
@@ -74,7 +91,10 @@ pub(super) struct Args {
         value_parser = points::parse_field
     )]
     fields: Vec<PointField>,
-    /// How far from a surface the place of visible-from may be, in the
+    /// Replace files of those names whatever they are
+    #[arg(long)]
+    overwrite: bool,
+    /// How far from a surface the place of a field may be, in the
     /// scan's units [default: twice the spacing of the points there]
     #[arg(long, value_name = "DIST", requires = "points", verbatim_doc_comment)]
     snap: Option<f64>,
@@ -94,6 +114,11 @@ pub(super) struct Args {
     /// Where the table of links goes [default: nowhere]
     #[arg(long, value_name = "L.csv")]
     links: Option<PathBuf>,
+}
+
+/// Gives the octree that was named, or that whose name is the map's.
+fn octree_of(args: &Args) -> PathBuf {
+    args.octree.clone().unwrap_or_else(|| args.map.with_extension("octree"))
 }
 
 /// Says whether two outputs, which need not be there, have one place.
@@ -116,7 +141,9 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         return Err(Error::Usage(message).into());
     }
     let mut inputs = vec![args.map.clone()];
-    inputs.extend(args.octree.iter().map(|octree| octree.join(FILE_NAME)));
+    if args.points.is_some() {
+        inputs.push(octree_of(args).join(FILE_NAME));
+    }
     for (i, output) in outputs.iter().enumerate() {
         refuse_input(output, &inputs)?;
         if outputs[..i].iter().any(|other| same_place(other, output)) {
@@ -124,12 +151,40 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             return Err(Error::Usage(message).into());
         }
     }
-    if let (Some(octree), Some(output)) = (&args.octree, &args.points) {
-        points::run(args, octree, output, context)?;
+    // All of them before any work, and their names when all is done.
+    let begun = Begun::of(args)?;
+    let mut files = Vec::new();
+    let mut done = None;
+    if let Some(output) = begun.points {
+        let (exported, file) = points::run(args, octree_of(args), output, context)?;
+        done = Some(exported);
+        files.push(file);
     }
-    if let Some(discs) = args.surfels.as_ref().filter(|s| is_discs(s)) {
-        pvmap::export_surfels(&args.map, discs, &context.progress)?;
+    let stages = context.progress.take_stages();
+    if let Some(discs) = begun.discs {
+        files.push(pvmap::write_surfels(&args.map, discs, &context.progress)?);
     }
-    tables::run(args, &context.progress)?;
-    Ok(ExitCode::SUCCESS)
+    files.extend(tables::run(&args.map, begun.tables, &context.progress)?);
+    files.into_iter().try_for_each(|file| file.publish(false))?;
+    match done {
+        Some(done) => Ok(points::report(args, &done, &stages)?),
+        None => Ok(ExitCode::SUCCESS),
+    }
+}
+
+/// All outputs, begun.
+struct Begun {
+    points: Option<PointsFile>,
+    discs: Option<AtomicFile>,
+    tables: Vec<tables::Table>,
+}
+
+impl Begun {
+    fn of(args: &Args) -> Result<Begun, Error> {
+        let points = args.points.as_ref();
+        let points = points.map(|path| PointsFile::begin(path, args.overwrite)).transpose()?;
+        let discs = args.surfels.as_ref().filter(|s| is_discs(s));
+        let discs = discs.map(|path| begin_file(path, Made::Ply, args.overwrite)).transpose()?;
+        Ok(Begun { points, discs, tables: tables::begin(args)? })
+    }
 }

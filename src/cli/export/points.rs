@@ -1,56 +1,93 @@
 //! The points of the scans, with what the map says of each.
 
-use std::io::Write;
-use std::path::Path;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
-use pvmap::query::Snap;
-use pvmap::{ExportRequest, Limits, PointField};
+use pvmap::query::{Place, Snap};
+use pvmap::{
+    ClosedFile, Error, ExportRequest, Exported, Limits, PlaceAnswer, PointField, PointsFile,
+};
 
 use super::super::{Context, mib, parse_point};
 use super::Args;
-use crate::progress::si;
+use crate::progress::{StageDone, si};
 
-/// Reads `visible-from=x,y,z`, `sees-count`, `leaf`, `level` or `bin`.
+/// The fields without a place.
+const PLAIN: [(&str, PointField); 7] = [
+    ("sees-count", PointField::SeesCount),
+    ("leaf", PointField::Leaf),
+    ("level", PointField::Level),
+    ("bin", PointField::Bin),
+    ("normal", PointField::Normal),
+    ("record", PointField::Record),
+    ("source", PointField::Source),
+];
+
+/// Reads a field as help shows it.
 pub(super) fn parse_field(text: &str) -> Result<PointField, String> {
     match text.split_once('=') {
-        Some(("visible-from", place)) => Ok(PointField::VisibleFrom(parse_point(place)?)),
-        None if text == "sees-count" => Ok(PointField::SeesCount),
-        None if text == "leaf" => Ok(PointField::Leaf),
-        None if text == "level" => Ok(PointField::Level),
-        None if text == "bin" => Ok(PointField::Bin),
-        _ => Err(format!(
-            "{text:?} is no field; write visible-from=x,y,z, sees-count, leaf, level or bin"
-        )),
+        Some(("visible-from", place)) => Ok(PointField::VisibleFrom(parse_place(place)?)),
+        Some(("lit", place)) => Ok(PointField::Lit(parse_point(place)?)),
+        _ => PLAIN.iter().find(|plain| plain.0 == text).map(|plain| plain.1).ok_or_else(|| {
+            format!(
+                "{text:?} is no field; write visible-from=x,y,z, lit=x,y,z, {}",
+                PLAIN.map(|plain| plain.0).join(", ")
+            )
+        }),
     }
 }
 
-/// Writes the points, and says what was done unless a table goes to the same place.
+/// Reads `x,y,z` or `x,y,z,nx,ny,nz`.
+fn parse_place(text: &str) -> Result<Place, String> {
+    let side = text.match_indices(',').nth(2).map(|(at, _)| at);
+    let Some(at) = side else { return Ok(Place { position: parse_point(text)?, normal: None }) };
+    let refuse = |_| format!("{text:?} is not three numbers or six; write x,y,z or x,y,z,nx,ny,nz");
+    let position = parse_point(&text[..at]).map_err(refuse)?;
+    let normal = parse_point(&text[at + 1..]).map_err(refuse)?;
+    Ok(Place { position, normal: Some(normal.map(|v| v as f32)) })
+}
+
+/// Writes the points to a file that has yet to get its name.
 pub(super) fn run(
     args: &Args,
-    octree: &Path,
-    output: &Path,
+    octree: PathBuf,
+    output: PointsFile,
     context: &Context,
-) -> anyhow::Result<()> {
+) -> Result<(Exported, ClosedFile), Error> {
     let request = ExportRequest {
         map: args.map.clone(),
-        octree: octree.to_path_buf(),
-        output: output.to_path_buf(),
+        octree,
+        output: args.points.clone().unwrap_or_default(),
+        overwrite: args.overwrite,
         fields: args.fields.clone(),
         snap: args.snap.map_or(Snap::FourHalfSpacings, Snap::Within),
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
-    let done = pvmap::export_points(&request, &limits, &context.progress)?;
-    let stages = context.progress.take_stages();
+    pvmap::write_points(&request, output, &limits, &context.progress)
+}
+
+/// Says what was done, unless a table went to the same place.
+pub(super) fn report(args: &Args, done: &Exported, stages: &[StageDone]) -> io::Result<ExitCode> {
     let tables = [&args.surfels, &args.nodes, &args.links];
     if tables.into_iter().flatten().any(|path| pvmap::is_stdout(path)) {
-        return Ok(());
+        return Ok(ExitCode::SUCCESS);
     }
     let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
     let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{}", output.display())?;
+    let mut out = io::stdout().lock();
+    let name = args.points.as_deref().unwrap_or(Path::new(""));
+    writeln!(out, "{}", name.display())?;
     let names = if done.names.is_empty() { "none".to_owned() } else { done.names.join(", ") };
     writeln!(out, "  points    {}; new fields: {names}", done.n_points)?;
+    for PlaceAnswer { name, surfel } in &done.places {
+        match surfel {
+            Some((surfel, distance)) => {
+                writeln!(out, "  place     of {name}: surfel {surfel}, {distance} away")?;
+            }
+            None => writeln!(out, "  place     of {name}: in the air")?,
+        }
+    }
     writeln!(
         out,
         "  disk      {} and {} temporary",
@@ -64,5 +101,5 @@ pub(super) fn run(
         si(rate),
         mib(peak)
     )?;
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }

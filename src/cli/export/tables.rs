@@ -1,11 +1,11 @@
 //! The content of a map as tables.
 
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use pvmap::vmap::MapView;
 use pvmap::vmap::tree::Nodes;
-use pvmap::vmap::{FormatError, MapView};
-use pvmap::{Error, StoreError, TableFile, Watch};
+use pvmap::{ClosedFile, Error, StoreError, TableFile, Watch};
 
 use super::super::map_file;
 use super::{Args, is_discs};
@@ -13,41 +13,67 @@ use super::{Args, is_discs};
 const SURFEL_HEADER: &str = "surfel,cx,cy,cz,nx,ny,nz,r2,cell_x,cell_y,cell_z,cell_level,\
 min_x,min_y,min_z,max_x,max_y,max_z,n_points,two_sided";
 
-/// Writes the tables that are asked for.
-pub(super) fn run(args: &Args, watch: &dyn Watch) -> Result<(), Error> {
-    let table = args.surfels.as_ref().filter(|s| !is_discs(s));
-    if table.is_none() && args.nodes.is_none() && args.links.is_none() {
-        return Ok(());
-    }
-    let (path, bytes) = map_file(&args.map)?;
-    let named = |e: FormatError| Error::artifact(&path, e);
-    let view = MapView::open(&bytes).map_err(named)?;
-    if let Some(output) = table {
-        write(output, SURFEL_HEADER, |out| surfels(&view, &path, out, watch))?;
-    }
-    if let Some(output) = &args.nodes {
-        write(output, "node,parent,level,bin,surfel", |out| nodes(&view, &path, out, watch))?;
-    }
-    if let Some(output) = &args.links {
-        write(output, "node_a,node_b", |out| links(&view, &path, out, watch))?;
-    }
-    Ok(())
+const NODE_HEADER: &str = "node,parent,level,bin,surfel";
+const LINK_HEADER: &str = "node_a,node_b";
+
+/// A table that was begun.
+pub(super) struct Table {
+    file: TableFile,
+    header: &'static str,
+    rows: Rows,
 }
 
+/// Writes the rows of a table of the map of this name.
+type Rows = fn(&MapView<'_>, &Path, &mut Out, &dyn Watch) -> Result<(), Error>;
 type Out = BufWriter<TableFile>;
 
-/// Writes a table; a file appears whole or not at all.
+/// Begins the tables that are asked for.
+pub(super) fn begin(args: &Args) -> Result<Vec<Table>, Error> {
+    let discs = args.surfels.as_ref().is_some_and(|s| is_discs(s));
+    let surfels = args.surfels.as_ref().filter(|_| !discs);
+    let wanted: [(_, _, Rows); 3] = [
+        (surfels, SURFEL_HEADER, self::surfels),
+        (args.nodes.as_ref(), NODE_HEADER, nodes),
+        (args.links.as_ref(), LINK_HEADER, links),
+    ];
+    let begin = |(path, header, rows): (Option<&PathBuf>, _, _)| {
+        let file = pvmap::begin_table(path?, header, args.overwrite);
+        Some(file.map(|file| Table { file, header, rows }))
+    };
+    wanted.into_iter().filter_map(begin).collect()
+}
+
+/// Writes tables that were begun; gives those that are files and have yet to get their names.
+pub(super) fn run(
+    map: &Path,
+    tables: Vec<Table>,
+    watch: &dyn Watch,
+) -> Result<Vec<ClosedFile>, Error> {
+    if tables.is_empty() {
+        return Ok(Vec::new());
+    }
+    let (path, bytes) = map_file(map)?;
+    let view = MapView::open(&bytes).map_err(|e| Error::artifact(&path, e))?;
+    let mut files = Vec::new();
+    for table in tables {
+        files.extend(write(table, &view, &path, watch)?);
+    }
+    Ok(files)
+}
+
 fn write(
-    path: &Path,
-    header: &str,
-    rows: impl FnOnce(&mut Out) -> Result<(), Error>,
-) -> Result<(), Error> {
-    let fail = |e| Error::Store(StoreError::io(path, "write", e));
-    let mut out = BufWriter::with_capacity(1 << 20, TableFile::create(path)?);
-    writeln!(out, "{header}").map_err(fail)?;
-    rows(&mut out)?;
+    table: Table,
+    view: &MapView<'_>,
+    map: &Path,
+    watch: &dyn Watch,
+) -> Result<Option<ClosedFile>, Error> {
+    let path = table.file.path().to_path_buf();
+    let fail = |e| Error::Store(StoreError::io(&path, "write", e));
+    let mut out = BufWriter::with_capacity(1 << 20, table.file);
+    writeln!(out, "{}", table.header).map_err(fail)?;
+    (table.rows)(view, map, &mut out, watch)?;
     let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
-    Ok(file.commit()?)
+    Ok(file.close()?)
 }
 
 fn surfels(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {

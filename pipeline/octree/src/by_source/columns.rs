@@ -6,7 +6,7 @@ use pvmap_vmap::records::Record;
 use pvmap_vmap::schema::{Column, ColumnType};
 use pvmap_vmap::{FormatError, OctreeView, Source};
 
-use super::Seen;
+use super::seen::{Intensities, Seen};
 
 /// Where the columns are, and which keys the records of each source have.
 #[derive(Debug)]
@@ -108,9 +108,11 @@ impl Columns {
     /// Looks at what decides how the points can be written.
     pub(super) fn seen(&self, record: &[u8]) -> Seen {
         let gps_time = self.gps_time.map(|c| at(record, c).f64()).filter(|t| !t.is_nan());
+        let intensity = self.intensity.filter(|c| c.kind == ColumnType::F32);
         Seen {
             class_max: self.class.map_or(0, |c| at(record, c).u8()),
             gps_time: gps_time.map(|t| (t, t)),
+            intensity: intensity.map(|c| Intensities::of(at(record, c).f32())),
         }
     }
 

@@ -9,6 +9,7 @@
 //! Use: [`BySource::gather`], then [`BySource::each`].
 
 mod columns;
+mod seen;
 #[cfg(test)]
 mod tests;
 
@@ -18,13 +19,16 @@ use std::sync::mpsc::sync_channel;
 use std::sync::{Mutex, PoisonError};
 
 use pvmap_geometry::PointBatch;
+use pvmap_geometry::normal::Normal;
 use pvmap_store::{Spill, StoreError, Watch};
 use pvmap_vmap::OctreeView;
+use pvmap_vmap::bytes::{FieldReader, FieldWriter};
 use pvmap_vmap::octree::{CODE_STRIDE, Point};
 
 use crate::OctreeError;
 use crate::ingest::Turns;
 use columns::Columns;
+pub use seen::{Intensities, Seen};
 
 /// Points that a thread takes at a time.
 const BLOCK_POINTS: u64 = 4 * CODE_STRIDE;
@@ -34,31 +38,17 @@ const BATCH_POINTS: usize = 16_384;
 const MAX_BUCKETS: u64 = 1024;
 /// No bucket need be larger.
 const GOOD_BUCKET_BYTES: u64 = 8 << 20;
+/// A buffer of less makes the disk jump from place to place.
+const LEAST_BUFFER_BYTES: u64 = 64 << 10;
+/// A buffer of more is of no use, unless there are very many extents.
+const GOOD_BUFFER_BYTES: u64 = 256 << 10;
+const MOST_BUFFER_BYTES: u64 = 8 << 20;
+/// What an extent takes in the list of its bucket, which grows by doubling.
+const EXTENT_BYTES: u64 = 64;
 /// The number behind each record.
 const TAG_BYTES: usize = 4;
 /// Bytes that putting in order holds for a point beside its row: its key and its place.
 const SORT_BYTES: u64 = size_of::<(u64, u32)>() as u64;
-
-/// What was seen of all points on the way.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
-    /// The largest class, 0 without.
-    pub class_max: u8,
-    /// The least and the greatest GPS time; `None` without any number.
-    pub gps_time: Option<(f64, f64)>,
-}
-
-impl Seen {
-    const NOTHING: Seen = Seen { class_max: 0, gps_time: None };
-
-    fn join(self, other: Seen) -> Seen {
-        let gps_time = match (self.gps_time, other.gps_time) {
-            (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
-            (a, b) => a.or(b),
-        };
-        Seen { class_max: self.class_max.max(other.class_max), gps_time }
-    }
-}
 
 /// How a memory budget is shared out: 45 % to points held, 10 % to buffers, 30 % to the two
 /// buckets at hand; the rest is for whoever takes the points.
@@ -66,36 +56,87 @@ impl Seen {
 struct Shares {
     hold_bytes: u64,
     buffer_bytes: u64,
+    /// The list of what went to disk; beyond it, that is taken from the points held.
+    extent_bytes: u64,
     /// Points of a bucket that is put in order in one piece.
     bucket_points: u64,
+    record_bytes: usize,
     row_bytes: u64,
 }
 
 impl Shares {
-    fn new(memory_bytes: u64, record_bytes: usize) -> Shares {
-        let row_bytes = (record_bytes + TAG_BYTES) as u64;
+    fn new(octree: &OctreeView<'_>, with: With, memory_bytes: u64) -> Shares {
+        let record_bytes = octree.schema().record_bytes();
+        let row_bytes = (record_bytes + TAG_BYTES + with.n_bytes()) as u64;
         let bucket_bytes = (memory_bytes * 15 / 100).min(2 * GOOD_BUCKET_BYTES);
         Shares {
             hold_bytes: memory_bytes * 45 / 100,
             buffer_bytes: memory_bytes / 10,
+            extent_bytes: memory_bytes / 20,
             bucket_points: (bucket_bytes / (row_bytes + SORT_BYTES)).clamp(1, 1 << 31),
+            record_bytes,
             row_bytes,
         }
     }
 }
 
+/// What comes with each point beside its number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum With {
+    /// Nothing.
+    Numbers,
+    /// Its normal in the octree.
+    Normals,
+}
+
+impl With {
+    fn n_bytes(self) -> usize {
+        if self == With::Normals { size_of::<Normal>() } else { 0 }
+    }
+}
+
+/// What came with the points of a batch, in their order.
+#[derive(Debug, Default)]
+pub struct Tags {
+    /// Their numbers.
+    pub numbers: Vec<u32>,
+    /// Their normals, of length 2^14 or zero, where they were asked for.
+    pub normals: Vec<Normal>,
+}
+
+impl Tags {
+    fn of(rows: &[&[u8]], record_bytes: usize, with: With) -> Tags {
+        let normal_at = record_bytes + TAG_BYTES;
+        let normal = |r: &&[u8]| FieldReader::new(&r[normal_at..]).three(FieldReader::i16);
+        let normals = match with {
+            With::Numbers => Vec::new(),
+            With::Normals => rows.iter().map(normal).collect(),
+        };
+        Tags {
+            numbers: rows.iter().map(|r| FieldReader::new(&r[record_bytes..]).u32()).collect(),
+            normals,
+        }
+    }
+}
+
 /// Gives the bytes that [`BySource::gather`] writes to its temporary file, about.
-pub fn temporary_bytes(octree: &OctreeView<'_>, memory_bytes: u64) -> u64 {
-    let shares = Shares::new(memory_bytes, octree.schema().record_bytes());
-    let all = octree.summary().n_points.saturating_mul(shares.row_bytes);
-    all.saturating_sub(shares.hold_bytes)
+pub fn temporary_bytes(octree: &OctreeView<'_>, with: With, memory_bytes: u64) -> u64 {
+    let (shares, n_points) = (Shares::new(octree, with, memory_bytes), octree.summary().n_points);
+    let plan = Plan::new(n_points, u64::MAX, rayon::current_num_threads(), &shares);
+    let all = n_points.saturating_mul(shares.row_bytes);
+    let spilled = all.saturating_sub(shares.hold_bytes.saturating_sub(plan.beyond_bytes));
+    // A bucket that is too large is distributed once more while the first file stays.
+    let is_again = n_points / plan.n_buckets > shares.bucket_points;
+    spilled.saturating_add(if is_again { all / plan.n_buckets } else { 0 })
 }
 
 /// All points of an octree with their numbers, on the way to the order of their sources.
 pub struct BySource<'a> {
     octree: &'a OctreeView<'a>,
     columns: Columns,
+    with: With,
     shares: Shares,
+    n_threads: usize,
     folder: &'a Path,
     pass: Pass,
     seen: Seen,
@@ -103,17 +144,17 @@ pub struct BySource<'a> {
 }
 
 impl<'a> BySource<'a> {
-    /// Takes all points and the number that `tag` gives each. Every thread of the current rayon
-    /// pool makes a tagger; it gets points in Morton order, whole blocks of them. What is not held
-    /// in `memory_bytes` goes to a temporary file in `folder`.
+    /// Takes all points, what shall come `with` them and the number that `tag` gives each. Every
+    /// thread of the current rayon pool makes a tagger; it gets points in Morton order, whole
+    /// blocks of them. What is not held in `memory_bytes` goes to a temporary file in `folder`.
     ///
     /// # Errors
     /// Where the octree is damaged, the disk fails or the run is asked to stop, and those of the
     /// taggers.
     pub fn gather<E, T>(
         octree: &'a OctreeView<'a>,
-        folder: &'a Path,
-        memory_bytes: u64,
+        with: With,
+        (folder, memory_bytes): (&'a Path, u64),
         tag: impl Fn() -> T + Sync,
         watch: &'a dyn Watch,
     ) -> Result<BySource<'a>, E>
@@ -123,13 +164,15 @@ impl<'a> BySource<'a> {
     {
         let n_points = octree.summary().n_points;
         let columns = Columns::of(octree).map_err(OctreeError::from)?;
-        let shares = Shares::new(memory_bytes, octree.schema().record_bytes());
-        let pass = Pass::new(folder, 0..columns.n_keys(), n_points, shares.hold_bytes, &shares);
+        let shares = Shares::new(octree, with, memory_bytes);
+        let n_threads = rayon::current_num_threads();
+        let plan = Plan::new(n_points, columns.n_keys(), n_threads, &shares);
+        let pass = Pass::new(folder, 0..columns.n_keys(), shares.hold_bytes, plan);
         let seen = Mutex::new(Seen::NOTHING);
         watch.stage("distribute", Some(n_points), "points");
         Turns::run(n_points.div_ceil(BLOCK_POINTS) as usize, |turns| {
             let (mut tag, mut here) = (tag(), Seen::NOTHING);
-            let mut buffers = pass.buffers(&shares);
+            let mut buffers = pass.buffers();
             while let Some(turn) = turns.take() {
                 watch.check().map_err(OctreeError::from)?;
                 let first = turn as u64 * BLOCK_POINTS;
@@ -140,8 +183,8 @@ impl<'a> BySource<'a> {
                     let key = columns.checked_key(octree, index, point.record);
                     let key = key.map_err(OctreeError::from)?;
                     here = here.join(columns.seen(point.record));
-                    let tag = tag(&point)?;
-                    buffers.put(key, &[point.record, &tag.to_le_bytes()])?;
+                    let (tag, normal) = (tag(&point)?.to_le_bytes(), bytes_of(point.key.normal));
+                    buffers.put(key, &[point.record, &tag, &normal[..with.n_bytes()]])?;
                 }
                 watch.advance(n);
             }
@@ -150,7 +193,7 @@ impl<'a> BySource<'a> {
             Ok::<_, E>(buffers.finish()?)
         })?;
         let seen = seen.into_inner().unwrap_or_else(PoisonError::into_inner);
-        Ok(BySource { octree, columns, shares, folder, pass, seen, watch })
+        Ok(BySource { octree, columns, with, shares, n_threads, folder, pass, seen, watch })
     }
 
     /// Gives what was seen of the points.
@@ -164,17 +207,17 @@ impl<'a> BySource<'a> {
     }
 
     /// Hands over all points in the order of (source, record): batches as the readers of the
-    /// sources gave them, and the number of each point.
+    /// sources gave them, and what came with each point.
     ///
     /// # Errors
     /// Where two points are of one record, the disk fails or the run is asked to stop, and those
     /// of `visit`.
     pub fn each<E: From<OctreeError>>(
         self,
-        mut visit: impl FnMut(&PointBatch, &[u32]) -> Result<(), E>,
+        mut visit: impl FnMut(&PointBatch, &Tags) -> Result<(), E>,
     ) -> Result<(), E> {
         self.watch.stage("write", Some(self.octree.summary().n_points), "points");
-        if rayon::current_num_threads() == 1 {
+        if self.n_threads == 1 {
             return self.walk(&self.pass, &mut |piece| self.hand_over(&piece, &mut visit));
         }
         // Without room in between: one piece is handed over, one is being put in order.
@@ -213,12 +256,19 @@ impl<'a> BySource<'a> {
                 continue;
             }
             let keys = pass.keys_of(bucket);
-            if n_points <= self.shares.bucket_points || keys.end - keys.start == 1 {
+            let n_keys = keys.end - keys.start;
+            if n_points > n_keys {
+                // More points than records: of a forged octree it could be all of them.
+                return Err(E::from(self.twice()));
+            }
+            if n_points <= self.shares.bucket_points {
                 take(self.sorted(pass, bucket).map_err(E::from)?)?;
                 continue;
             }
-            let parts = Pass::new(self.folder, keys, n_points, 0, &self.shares);
-            let mut buffers = parts.buffers(&self.shares);
+            // This thread alone fills the parts.
+            let plan = Plan::new(n_points, n_keys, 1, &self.shares);
+            let parts = Pass::new(self.folder, keys, 0, plan);
+            let mut buffers = parts.buffers();
             pass.spill.drain(bucket, |rows| {
                 self.watch.check()?;
                 let mut rows = rows.chunks_exact(self.shares.row_bytes as usize);
@@ -237,15 +287,19 @@ impl<'a> BySource<'a> {
         let mut order: Vec<(u64, u32)> = keys.zip(0..).collect();
         order.sort_unstable();
         if order.windows(2).any(|w| w[0].0 == w[1].0) {
-            return Err(self.columns.broken(self.octree, 0, "two points of one record").into());
+            return Err(self.twice());
         }
         Ok(Piece { rows, order })
+    }
+
+    fn twice(&self) -> OctreeError {
+        self.columns.broken(self.octree, 0, "two points of one record").into()
     }
 
     fn hand_over<E: From<OctreeError>>(
         &self,
         piece: &Piece,
-        visit: &mut impl FnMut(&PointBatch, &[u32]) -> Result<(), E>,
+        visit: &mut impl FnMut(&PointBatch, &Tags) -> Result<(), E>,
     ) -> Result<(), E> {
         let row_bytes = self.shares.row_bytes as usize;
         let row = |&(_, i): &(u64, u32)| &piece.rows[i as usize * row_bytes..][..row_bytes];
@@ -255,7 +309,7 @@ impl<'a> BySource<'a> {
                 self.watch.check().map_err(OctreeError::from)?;
                 let rows: Vec<&[u8]> = some.iter().map(row).collect();
                 let batch = self.columns.batch(&rows);
-                visit(&batch, &rows.iter().map(|row| tag_of(row)).collect::<Vec<u32>>())?;
+                visit(&batch, &Tags::of(&rows, self.shares.record_bytes, self.with))?;
                 self.watch.advance(some.len() as u64);
             }
         }
@@ -270,32 +324,56 @@ struct Piece {
     order: Vec<(u64, u32)>,
 }
 
-fn tag_of(row: &[u8]) -> u32 {
-    let (_, tag) = row.split_last_chunk().expect("a row ends in its number");
-    u32::from_le_bytes(*tag)
+fn bytes_of(normal: Normal) -> [u8; size_of::<Normal>()] {
+    let mut bytes = [0; size_of::<Normal>()];
+    FieldWriter::new(&mut bytes).three(normal, FieldWriter::i16);
+    bytes
+}
+
+/// How many buckets a pass has, and how large the buffers are through which threads fill them.
+#[derive(Debug, Clone, Copy)]
+struct Plan {
+    n_buckets: u64,
+    /// Bytes of a buffer that is full.
+    buffer_bytes: u64,
+    /// What the list of extents takes beyond its share.
+    beyond_bytes: u64,
+}
+
+impl Plan {
+    fn new(n_points: u64, n_keys: u64, n_threads: usize, shares: &Shares) -> Plan {
+        let (n_threads, total) = (n_threads as u64, n_points.saturating_mul(shares.row_bytes));
+        // A buffer becomes an extent: many small ones are slow, and their list is long.
+        let extents = shares.extent_bytes / EXTENT_BYTES + 1;
+        let least = total.div_ceil(extents).clamp(LEAST_BUFFER_BYTES, MOST_BUFFER_BYTES);
+        let most = (shares.buffer_bytes / (least * n_threads)).clamp(2, MAX_BUCKETS);
+        // Half of what fits: where records are missing, others stand closer.
+        let wanted = n_points.div_ceil((shares.bucket_points / 2).max(1));
+        let n_buckets = wanted.clamp(1, most).min(n_keys.max(1));
+        let buffer_bytes = shares.buffer_bytes / (n_buckets * n_threads);
+        // Tiny only where the whole budget is.
+        let buffer_bytes = buffer_bytes.clamp(1 << 10, least.max(GOOD_BUFFER_BYTES));
+        let n_extents = total / buffer_bytes + n_buckets * n_threads;
+        let beyond_bytes = (n_extents * EXTENT_BYTES).saturating_sub(shares.extent_bytes);
+        Plan { n_buckets, buffer_bytes, beyond_bytes }
+    }
 }
 
 /// One pass of distributing points into buckets of as many keys each.
 struct Pass {
     keys: Range<u64>,
     bucket_keys: u64,
+    buffer_bytes: usize,
     spill: Spill,
 }
 
 impl Pass {
-    fn new(
-        folder: &Path,
-        keys: Range<u64>,
-        n_points: u64,
-        hold_bytes: u64,
-        shares: &Shares,
-    ) -> Pass {
-        // Half of what fits: where records are missing, others stand closer.
-        let n = n_points.div_ceil((shares.bucket_points / 2).max(1)).clamp(1, MAX_BUCKETS);
-        let bucket_keys = (keys.end - keys.start).div_ceil(n).max(1);
+    fn new(folder: &Path, keys: Range<u64>, hold_bytes: u64, plan: Plan) -> Pass {
+        let bucket_keys = (keys.end - keys.start).div_ceil(plan.n_buckets).max(1);
         let n_buckets = (keys.end - keys.start).div_ceil(bucket_keys).max(1);
+        let hold_bytes = hold_bytes.saturating_sub(plan.beyond_bytes);
         let spill = Spill::new(folder, n_buckets as usize, hold_bytes);
-        Pass { keys, bucket_keys, spill }
+        Pass { keys, bucket_keys, buffer_bytes: plan.buffer_bytes as usize, spill }
     }
 
     fn keys_of(&self, bucket: usize) -> Range<u64> {
@@ -303,11 +381,9 @@ impl Pass {
         start..start.saturating_add(self.bucket_keys).min(self.keys.end)
     }
 
-    fn buffers(&self, shares: &Shares) -> Buffers<'_> {
-        let n = self.spill.n_buckets();
-        let n_buffers = (n * rayon::current_num_threads().max(1)) as u64;
-        let most = (shares.buffer_bytes / n_buffers).clamp(1 << 10, 256 << 10) as usize;
-        Buffers { pass: self, most, buffers: vec![Vec::new(); n] }
+    fn buffers(&self) -> Buffers<'_> {
+        let buffers = vec![Vec::new(); self.spill.n_buckets()];
+        Buffers { pass: self, most: self.buffer_bytes, buffers }
     }
 }
 

@@ -1,8 +1,10 @@
 //! Every batch that went into an octree comes out of it as it was, in order, with its numbers.
 
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use fastrand::Rng;
+use pvmap_geometry::normal::quantise;
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_store::{Mapped, Quiet};
 use pvmap_vmap::OctreeView;
@@ -15,13 +17,22 @@ use crate::ingest::{
 };
 
 /// Takes batches of two sources in; records of the second have gaps.
-fn octree_of(folder: &Path, batches: &[PointBatch], n_dropped: u64) -> std::path::PathBuf {
+fn octree_of(folder: &Path, batches: &[PointBatch], n_dropped: u64) -> PathBuf {
+    octree_of_with(folder, batches, n_dropped, NormalsFrom::None)
+}
+
+fn octree_of_with(
+    folder: &Path,
+    batches: &[PointBatch],
+    n_dropped: u64,
+    normals: NormalsFrom,
+) -> PathBuf {
     let output = folder.join("a.octree");
     let options = IngestOptions {
         output: output.clone(),
         overwrite: true,
         memory_bytes: 64 << 20,
-        normals: NormalsFrom::None,
+        normals,
         orientation: Orientation::Unknown,
     };
     let plan = |source: u32| SourcePlan {
@@ -33,6 +44,7 @@ fn octree_of(folder: &Path, batches: &[PointBatch], n_dropped: u64) -> std::path
         intensity: Some(ColumnType::U16),
         has_class: true,
         has_gps_time: true,
+        is_gps_time_since_1980: Some(true),
         has_normal: true,
         crs: None,
     };
@@ -111,14 +123,22 @@ fn points_come_back_in_the_order_of_their_sources_whatever_the_memory_and_thread
                     Ok::<_, OctreeError>(p.key.g[0])
                 }
             };
-            let all = BySource::gather(&octree, folder.path(), memory_bytes, tag, &Quiet).unwrap();
+            let all = BySource::gather(
+                &octree,
+                With::Normals,
+                (folder.path(), memory_bytes),
+                tag,
+                &Quiet,
+            )
+            .unwrap();
             assert_eq!(n_tagged.into_inner(), octree.summary().n_points);
             assert_eq!(all.seen().class_max, class_max);
             assert_eq!(all.spilled_bytes() > 0, memory_bytes < 1 << 20);
             let (mut found, frame) = (Vec::new(), octree.frame().frame);
             all.each(|batch, tags| {
                 let Positions::Lattice(places) = &batch.positions else { panic!("no lattice") };
-                for (place, tag) in places.iter().zip(tags) {
+                assert_eq!(tags.normals.len(), batch.len());
+                for (place, tag) in places.iter().zip(&tags.numbers) {
                     assert_eq!(frame.grid_of_lattice(place.map(i64::from))[0], *tag);
                 }
                 found.push(batch.clone());
@@ -134,6 +154,53 @@ fn points_come_back_in_the_order_of_their_sources_whatever_the_memory_and_thread
 }
 
 #[test]
+fn normals_of_the_octree_come_with_the_points() {
+    let rng = &mut Rng::with_seed(8);
+    let folder = tempfile::tempdir().unwrap();
+    let batches = [random_batch(rng, 0, (0..30_000).collect())];
+    let points = octree_of_with(folder.path(), &batches, 0, NormalsFrom::File);
+    let mapped = Mapped::open(&points).unwrap();
+    let octree = OctreeView::open(&mapped).unwrap();
+    let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
+    let place = (folder.path(), 1 << 14);
+    let all = BySource::gather(&octree, With::Normals, place, tag, &Quiet).unwrap();
+    let mut found = Vec::new();
+    all.each(|_, tags| {
+        found.extend(tags.normals.iter().copied());
+        Ok::<_, OctreeError>(())
+    })
+    .unwrap();
+    let normals = batches[0].normal.iter().flatten();
+    assert!(normals.map(|&n| quantise(n).unwrap()).eq(found));
+}
+
+#[test]
+fn buffers_stay_large_and_what_extents_take_is_counted() {
+    let mib = 1 << 20;
+    for (memory_bytes, n_points) in
+        [(64 * mib, 1 << 24), (1024 * mib, 1 << 32), (64 * mib, 1 << 33)]
+    {
+        for n_threads in [1, 2, 16] {
+            let shares = Shares {
+                hold_bytes: memory_bytes * 45 / 100,
+                buffer_bytes: memory_bytes / 10,
+                extent_bytes: memory_bytes / 20,
+                bucket_points: 1 << 17,
+                record_bytes: 36,
+                row_bytes: 40,
+            };
+            let plan = Plan::new(n_points, n_points, n_threads, &shares);
+            assert!(plan.n_buckets >= 2 && plan.buffer_bytes >= LEAST_BUFFER_BYTES, "{plan:?}");
+            let buffers_bytes = plan.n_buckets * n_threads as u64 * plan.buffer_bytes;
+            assert!(buffers_bytes <= shares.buffer_bytes || plan.n_buckets == 2, "{plan:?}");
+            let n_extents = n_points * shares.row_bytes / plan.buffer_bytes;
+            let listed_bytes = n_extents * EXTENT_BYTES;
+            assert!(listed_bytes <= shares.extent_bytes + plan.beyond_bytes, "{plan:?}");
+        }
+    }
+}
+
+#[test]
 fn an_error_of_the_visitor_ends_it() {
     let rng = &mut Rng::with_seed(9);
     let folder = tempfile::tempdir().unwrap();
@@ -145,7 +212,9 @@ fn an_error_of_the_visitor_ends_it() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         pool.install(|| {
             let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
-            let all = BySource::gather(&octree, folder.path(), 1 << 16, tag, &Quiet).unwrap();
+            let all =
+                BySource::gather(&octree, With::Numbers, (folder.path(), 1 << 16), tag, &Quiet)
+                    .unwrap();
             let mut n_calls = 0;
             let ended = all.each(|_, _| {
                 n_calls += 1;
@@ -162,13 +231,20 @@ fn two_points_of_one_record_are_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let twice = [random_batch(rng, 0, vec![0, 1, 2]), random_batch(rng, 0, vec![2])];
     let beyond = [random_batch(rng, 0, vec![0, 1, 3])];
-    for (batches, word) in [(&twice[..], "two points"), (&beyond, "does not have")] {
+    // So many that they would be no bucket that is read at once.
+    let forged = [random_batch(rng, 0, vec![7; 40_000])];
+    for (batches, memory_bytes, word) in [
+        (&twice[..], 1 << 20, "two points"),
+        (&beyond, 1 << 20, "does not have"),
+        (&forged, 1 << 14, "two points"),
+    ] {
         let points = octree_of(folder.path(), batches, 0);
         let mapped = Mapped::open(&points).unwrap();
         let octree = OctreeView::open(&mapped).unwrap();
         let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
-        let ended = BySource::gather(&octree, folder.path(), 1 << 20, tag, &Quiet)
-            .and_then(|all| all.each(|_, _| Ok::<_, OctreeError>(())));
+        let ended =
+            BySource::gather(&octree, With::Numbers, (folder.path(), memory_bytes), tag, &Quiet)
+                .and_then(|all| all.each(|_, _| Ok::<_, OctreeError>(())));
         assert!(ended.unwrap_err().to_string().contains(word));
     }
 }

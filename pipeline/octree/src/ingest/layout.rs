@@ -4,7 +4,7 @@ use pvmap_geometry::block::BLOCK_POINTS;
 use pvmap_geometry::{Frame, GridBlock, Intensity, PointBatch, Positions};
 use pvmap_vmap::frame::CrsKind;
 use pvmap_vmap::records::Source;
-use pvmap_vmap::schema::{ColumnType, Schema};
+use pvmap_vmap::schema::{COLUMN_NAMES, ColumnType, Schema};
 
 use super::records::SLACK_BYTES;
 use crate::OctreeError;
@@ -32,6 +32,8 @@ pub struct SourcePlan {
     pub has_class: bool,
     /// Whether batches bring GPS times.
     pub has_gps_time: bool,
+    /// Whether those count since 1980, instead of a week; none where the source does not say.
+    pub is_gps_time_since_1980: Option<bool>,
     /// Whether batches bring normals.
     pub has_normal: bool,
     /// Its coordinate reference system.
@@ -433,7 +435,27 @@ fn sources_of(plans: &[SourcePlan], shifts: Option<&[[i64; 3]]>) -> Vec<Source> 
                 offset,
                 shift: shifts.map_or([0; 3], |s| s[i]),
                 color_depth: 0,
+                gps_time: match plan.is_gps_time_since_1980 {
+                    Some(since_1980) if plan.has_gps_time => 1 + u32::from(since_1980),
+                    _ => 0,
+                },
+                columns: columns_of(plan),
             }
         })
         .collect()
+}
+
+/// Says which columns a source brings. [F-13]
+fn columns_of(plan: &SourcePlan) -> u32 {
+    let has = |name: &str| match name {
+        "normal" => plan.has_normal,
+        "color" => plan.color != ColorPlan::Absent,
+        "intensity" => plan.intensity.is_some(),
+        "class" => plan.has_class,
+        "gps_time" => plan.has_gps_time,
+        // Its place, its number and its own are every point's.
+        _ => true,
+    };
+    let bit = |(i, name): (usize, &&str)| u32::from(has(name)) << i;
+    COLUMN_NAMES.iter().enumerate().map(bit).sum()
 }

@@ -41,6 +41,8 @@ pub(crate) fn octree_file(cloud: &[Key]) -> Vec<u8> {
         offset: [0.0; 3],
         shift: [0; 3],
         color_depth: 0,
+        gps_time: 0,
+        columns: 0,
     };
     let record = |(key, number): (&Key, u32)| {
         let fields = [key.g[0], key.g[1], key.g[2], number];

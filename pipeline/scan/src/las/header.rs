@@ -16,6 +16,8 @@ const HEADER_BYTES: usize = 375;
 pub(crate) struct Header {
     /// Major and minor version.
     pub(crate) version: (u8, u8),
+    /// Bit 0 of the global encoding.
+    pub(crate) is_gps_time_since_1980: bool,
     /// Bytes of the header.
     pub(crate) header_bytes: u64,
     /// Where the point records begin.
@@ -81,6 +83,7 @@ impl Header {
         let (scale, offset) = lattice(&bytes).map_err(fail)?;
         let mut header = Header {
             version,
+            is_gps_time_since_1980: bytes[6] & 1 == 1,
             header_bytes,
             points_offset,
             points_end: n,

@@ -80,6 +80,7 @@ impl LasFile {
                 normal: layout.has_normal(),
             },
             crs,
+            is_gps_time_since_1980: layout.has_gps_time().then_some(header.is_gps_time_since_1980),
             warnings,
         };
         Ok((LasFile { points_offset: header.points_offset, layout, laz }, info))

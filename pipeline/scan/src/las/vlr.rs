@@ -11,7 +11,7 @@ use crate::source::Crs;
 const VLR_HEADER_BYTES: u64 = 54;
 const EVLR_HEADER_BYTES: u64 = 60;
 
-/// The longest payload that is kept: a plain record's own limit, and far above any WKT.
+/// The longest payload that is kept: far above any WKT.
 const KEPT_BYTES: u64 = 1 << 20;
 
 /// The payloads that matter to a reader.

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use las::point::Format;
 use las::{Builder, GpsTimeType, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
 use pvmap_geometry::{Intensity, PointBatch, Positions};
-use pvmap_store::{AtomicFile, StoreError};
+use pvmap_store::{AtomicFile, ClosedFile, StoreError};
 
 use crate::error::ScanError;
 use crate::field::{self, FieldKind, ScalarField};
@@ -18,6 +18,17 @@ const MAX_LEGACY_CLASS: u8 = 31;
 
 /// Bytes of a record of the longest format written: place, intensity, class, gps time and colour.
 const MAX_RECORD_BYTES: usize = 36;
+
+/// The longest name or description of a field in extra bytes: a zero is behind it.
+const MAX_TEXT_BYTES: usize = 31;
+
+/// The longest payload of a plain record; longer ones stand behind the points.
+const MAX_VLR_BYTES: usize = 65_535;
+
+/// Bytes of the header of LAS 1.4, and before the payload of a plain and of an extended record.
+const HEADER_BYTES: u64 = 375;
+const VLR_HEADER_BYTES: u64 = 54;
+const EVLR_HEADER_BYTES: u64 = 60;
 
 /// Where the header has its bounds: max and min, an axis at a time.
 const BOUNDS_OFFSET: u64 = 179;
@@ -51,6 +62,8 @@ pub struct LasContent {
     pub crs: Option<Crs>,
     /// Numbers in extra bytes, behind the normal.
     pub fields: Vec<ScalarField>,
+    /// What made the file: up to 31 ASCII characters of the header.
+    pub software: &'static str,
 }
 
 impl Default for LasContent {
@@ -61,6 +74,7 @@ impl Default for LasContent {
             is_standard_gps_time: false,
             crs: None,
             fields: Vec::new(),
+            software: "pvmap",
         }
     }
 }
@@ -138,21 +152,35 @@ impl LasWriter {
         options: LasOptions,
         content: &LasContent,
     ) -> Result<LasWriter, ScanError> {
-        let fail = |e: las::Error| write_error(path, e.to_string());
+        LasWriter::create_in(AtomicFile::create(path)?, options, content)
+    }
+
+    /// Begins the points of a file that was started, which have what `content` says.
+    ///
+    /// # Errors
+    /// Where scale and offset make no lattice, a field has a name that cannot be written, or the
+    /// disk fails.
+    pub fn create_in(
+        file: AtomicFile,
+        options: LasOptions,
+        content: &LasContent,
+    ) -> Result<LasWriter, ScanError> {
+        let path = file.path().to_path_buf();
+        let fail = |e: las::Error| write_error(&path, e.to_string());
         let is_sound = options.scale.iter().all(|s| s.is_normal() && *s > 0.0)
             && options.offset.iter().all(|o| o.is_finite());
         if !is_sound {
-            return Err(write_error(path, "scale must be > 0 and offset finite".to_owned()));
+            return Err(write_error(&path, "scale must be > 0 and offset finite".to_owned()));
         }
         if let Some(problem) = content.fields.iter().find_map(ScalarField::problem) {
-            return Err(write_error(path, problem));
+            return Err(write_error(&path, problem));
         }
         let layout = content.layout();
         let builder = builder(&options, content).map_err(fail)?;
         let format = builder.point_format;
         let header = builder.into_header().map_err(fail)?;
         let failure = Failure::default();
-        let out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+        let out = BufWriter::with_capacity(1 << 20, file);
         let sink = Sink { out, failure: failure.clone() };
         let writer = Writer::new(sink, header).map_err(fail)?;
         let transforms = transforms(&options);
@@ -166,8 +194,26 @@ impl LasWriter {
             min: [i32::MAX; 3],
             max: [i32::MIN; 3],
             failure,
-            path: path.to_path_buf(),
+            path,
         })
+    }
+
+    /// Gives the bytes of such a file where it is not compressed.
+    ///
+    /// # Errors
+    /// Where there can be no such file.
+    pub fn file_bytes(
+        options: LasOptions,
+        content: &LasContent,
+        n_points: u64,
+    ) -> Result<u64, ScanError> {
+        let builder = builder(&LasOptions { compressed: false, ..options }, content)
+            .map_err(|e| write_error(Path::new("LAS"), e.to_string()))?;
+        let plain = builder.vlrs.iter().map(|v| VLR_HEADER_BYTES + v.data.len() as u64);
+        let extended = builder.evlrs.iter().map(|v| EVLR_HEADER_BYTES + v.data.len() as u64);
+        let head_bytes = HEADER_BYTES + plain.chain(extended).sum::<u64>();
+        let record_bytes = u64::from(builder.point_format.len());
+        Ok(n_points.saturating_mul(record_bytes).saturating_add(head_bytes))
     }
 
     /// Appends a batch: places (a lattice batch as it is), colour, intensity, class, gps time and,
@@ -211,6 +257,14 @@ impl LasWriter {
     /// # Errors
     /// Where the disk fails; then nothing is left behind.
     pub fn finish(self) -> Result<(), ScanError> {
+        Ok(self.close()?.publish(false)?)
+    }
+
+    /// Completes the file, which has yet to get its name.
+    ///
+    /// # Errors
+    /// Those of [`LasWriter::finish`].
+    pub fn close(self) -> Result<ClosedFile, ScanError> {
         let bounds = self.bounds();
         let fail = |problem: String| write_error(&self.path, problem);
         let sink = self.writer.into_inner().map_err(|e| fail(e.to_string()))?;
@@ -220,7 +274,7 @@ impl LasWriter {
             .into_inner()
             .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
         file.write_at(&bounds, BOUNDS_OFFSET)?;
-        Ok(file.commit()?)
+        Ok(file.close()?)
     }
 
     /// Encodes the bounds of the points for the header. The crate's own may be a step too wide: it
@@ -338,7 +392,7 @@ fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::E
     format.extra_bytes = extra.iter().map(|f| f.kind.n_bytes() as u16).sum();
     let mut builder = Builder::default();
     builder.version = Version::new(1, 4);
-    builder.generating_software = "pvmap".to_owned();
+    builder.generating_software = content.software.to_owned();
     builder.transforms = transforms(options);
     if content.is_standard_gps_time {
         builder.gps_time_type = GpsTimeType::Standard;
@@ -347,7 +401,11 @@ fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::E
         let data = extra.iter().flat_map(descriptor).collect();
         builder.vlrs.push(vlr("LASF_Spec", 4, "extra bytes", data));
     }
-    builder.vlrs.extend(crs_records(content.crs.as_ref()));
+    let records = crs_records(content.crs.as_ref()).into_iter().chain(whole_texts(&extra));
+    for record in records {
+        let is_long = record.data.len() > MAX_VLR_BYTES;
+        (if is_long { &mut builder.evlrs } else { &mut builder.vlrs }).push(record);
+    }
     builder.point_format = format;
     Ok(builder)
 }
@@ -360,13 +418,30 @@ fn descriptor(field: &ScalarField) -> [u8; 192] {
         FieldKind::I8 => 2,
         FieldKind::U32 => 5,
         FieldKind::F32 => 9,
+        FieldKind::F64 => 10,
     };
     // 32 bytes each, and a zero at the end for readers that want one.
     for (at, text) in [(4, &field.name), (160, &field.description)] {
-        let n = text.len().min(31);
-        descriptor[at..at + n].copy_from_slice(&text.as_bytes()[..n]);
+        let text = cut(text);
+        descriptor[at..at + text.len()].copy_from_slice(text.as_bytes());
     }
     descriptor
+}
+
+/// Gives as much of an ASCII text as a descriptor has room for, ending between words or numbers.
+fn cut(text: &str) -> &str {
+    match text.get(..MAX_TEXT_BYTES + 1) {
+        None => text,
+        Some(start) => &text[..start.rfind([',', ' ']).unwrap_or(MAX_TEXT_BYTES)],
+    }
+}
+
+/// Writes the fields with their whole descriptions, where one has no room in its descriptor.
+fn whole_texts(fields: &[ScalarField]) -> Option<Vlr> {
+    let is_long = |f: &ScalarField| f.description.len() > MAX_TEXT_BYTES;
+    let line = |f: &ScalarField| format!("{}: {}\n", f.name, f.description);
+    let text: String = fields.iter().map(line).collect();
+    fields.iter().any(is_long).then(|| vlr("pvmap", 1, "extra bytes in full", text.into_bytes()))
 }
 
 /// Gives the records of a coordinate reference system.

@@ -62,6 +62,7 @@ impl PlyFile {
             bounds: None,
             columns: layout.columns(),
             crs: None,
+            is_gps_time_since_1980: None,
             warnings,
         };
         Ok((PlyFile { header, vertex, layout, start }, info))

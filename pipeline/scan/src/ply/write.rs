@@ -7,7 +7,7 @@ use ply_rs::ply::{
     Addable, DefaultElement, ElementDef, Encoding, Header, PropertyDef, PropertyType, ScalarType,
 };
 use pvmap_geometry::{Intensity, PointBatch, Positions};
-use pvmap_store::{AtomicFile, StoreError};
+use pvmap_store::{AtomicFile, ClosedFile, StoreError};
 
 use crate::error::ScanError;
 use crate::field::{self, FieldKind, ScalarField};
@@ -30,6 +30,26 @@ pub struct PlyColumns {
     pub gps_time: bool,
 }
 
+/// What a PLY file has beside its columns.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PlyExtras {
+    /// Lines of comment, in ASCII, the first right behind the format.
+    pub comments: Vec<String>,
+    /// Numbers in properties of their names behind the columns, each with its description in a
+    /// comment.
+    pub fields: Vec<ScalarField>,
+}
+
+impl PlyExtras {
+    /// Says what cannot be written, if anything.
+    fn problem(&self) -> Option<String> {
+        let is_line = |c: &&String| c.bytes().all(|b| b.is_ascii() && !b.is_ascii_control());
+        let comment = self.comments.iter().find(|c| !is_line(c));
+        let comment = comment.map(|c| format!("{c:?} is no comment that can be written"));
+        comment.or_else(|| self.fields.iter().find_map(ScalarField::problem))
+    }
+}
+
 /// Writes points to a binary PLY file that appears under its name when it is whole.
 pub struct PlyWriter {
     out: BufWriter<AtomicFile>,
@@ -46,31 +66,51 @@ impl PlyWriter {
     /// # Errors
     /// Where it cannot be created.
     pub fn create(path: &Path, n_points: u64, columns: PlyColumns) -> Result<PlyWriter, ScanError> {
-        PlyWriter::create_with(path, n_points, columns, &[])
+        PlyWriter::create_in(AtomicFile::create(path)?, n_points, columns, &PlyExtras::default())
     }
 
-    /// Starts a file whose points have fields, too: properties of their names behind the columns,
-    /// each with its description in a comment.
+    /// Begins the points of a file that was started, which have `extras`, too.
     ///
     /// # Errors
-    /// Where it cannot be created, or a field has a name that cannot be written.
-    pub fn create_with(
-        path: &Path,
+    /// Where it cannot be written, or a field or a comment is none that can be.
+    pub fn create_in(
+        file: AtomicFile,
         n_points: u64,
         columns: PlyColumns,
-        fields: &[ScalarField],
+        extras: &PlyExtras,
     ) -> Result<PlyWriter, ScanError> {
-        if let Some(problem) = fields.iter().find_map(ScalarField::problem) {
-            return Err(ScanError::Write { path: path.to_path_buf(), problem });
+        let path = file.path().to_path_buf();
+        if let Some(problem) = extras.problem() {
+            return Err(ScanError::Write { path, problem });
         }
-        let mut out = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
-        let header = header(n_points as usize, columns, fields);
+        let mut out = BufWriter::with_capacity(1 << 20, file);
+        let header = header(n_points as usize, columns, extras);
         ply_rs::writer::Writer::<DefaultElement>::new()
             .write_header(&mut out, &header)
-            .map_err(|e| StoreError::io(path, "write", io::Error::other(e)))?;
-        let path = path.to_path_buf();
-        let fields = fields.to_vec();
+            .map_err(|e| StoreError::io(&path, "write", io::Error::other(e)))?;
+        let fields = extras.fields.clone();
         Ok(PlyWriter { out, columns, fields, n_declared: n_points, n_written: 0, path })
+    }
+
+    /// Gives the bytes of such a file.
+    pub fn file_bytes(n_points: u64, columns: PlyColumns, extras: &PlyExtras) -> u64 {
+        let mut head = Vec::new();
+        let header = header(n_points as usize, columns, extras);
+        // Into memory, where nothing fails.
+        let _ = ply_rs::writer::Writer::<DefaultElement>::new().write_header(&mut head, &header);
+        let color_bytes = match columns.color {
+            Some(ColorRange::Eight) => 3,
+            Some(_) => 6,
+            None => 0,
+        };
+        let row_bytes = if columns.double { 24 } else { 12 }
+            + if columns.normal { 12 } else { 0 }
+            + color_bytes
+            + if columns.intensity { 4 } else { 0 }
+            + usize::from(columns.classification)
+            + if columns.gps_time { 8 } else { 0 }
+            + extras.fields.iter().map(|f| f.kind.n_bytes()).sum::<usize>();
+        n_points.saturating_mul(row_bytes as u64).saturating_add(head.len() as u64)
     }
 
     /// Appends a batch; columns that it lacks are 0. Lattice positions are written as their steps.
@@ -105,6 +145,14 @@ impl PlyWriter {
     /// # Errors
     /// Where more or fewer points were written than declared, or the disk fails.
     pub fn finish(self) -> Result<(), ScanError> {
+        Ok(self.close()?.publish(false)?)
+    }
+
+    /// Completes the file, which has yet to get its name.
+    ///
+    /// # Errors
+    /// Those of [`PlyWriter::finish`].
+    pub fn close(self) -> Result<ClosedFile, ScanError> {
         if self.n_written != self.n_declared {
             let problem = format!("{} points of {} given", self.n_written, self.n_declared);
             return Err(ScanError::Write { path: self.path, problem });
@@ -113,7 +161,7 @@ impl PlyWriter {
             .out
             .into_inner()
             .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
-        Ok(file.commit()?)
+        Ok(file.close()?)
     }
 
     /// Appends the row of point `i`.
@@ -163,7 +211,8 @@ impl PlyWriter {
 }
 
 /// Describes the columns.
-fn header(n_points: usize, columns: PlyColumns, fields: &[ScalarField]) -> Header {
+fn header(n_points: usize, columns: PlyColumns, extras: &PlyExtras) -> Header {
+    let fields = &extras.fields;
     let mut vertex = ElementDef::new("vertex".to_owned());
     vertex.count = n_points;
     let mut add = |names: &[&str], kind: ScalarType| {
@@ -195,10 +244,12 @@ fn header(n_points: usize, columns: PlyColumns, fields: &[ScalarField]) -> Heade
             FieldKind::I8 => ScalarType::Char,
             FieldKind::U32 => ScalarType::UInt,
             FieldKind::F32 => ScalarType::Float,
+            FieldKind::F64 => ScalarType::Double,
         };
         add(&[&field.name], kind);
     }
     let mut header = Header::new();
+    header.comments.extend(extras.comments.iter().cloned());
     let described = fields.iter().filter(|f| !f.description.is_empty());
     header.comments.extend(described.map(|f| format!("{}: {}", f.name, f.description)));
     header.encoding = Encoding::BinaryLittleEndian;

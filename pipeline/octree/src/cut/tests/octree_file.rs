@@ -73,6 +73,8 @@ fn sources(cloud: &[TestPoint], color_depths: &[u32]) -> Vec<u8> {
             offset: [0.0; 3],
             shift: [0; 3],
             color_depth,
+            gps_time: 0,
+            columns: 0,
         }
         .to_bytes()
     });
