@@ -8,7 +8,8 @@
 use std::time::Instant;
 
 use pvmap::render::{
-    Camera, ColorBy, Lens, MapSplats, OctreeSplats, Side, Size, Source, Style, View, bounds, render,
+    Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Side, Size, Source, Style, View, bounds,
+    render,
 };
 use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
@@ -50,8 +51,8 @@ fn main() -> anyhow::Result<()> {
         (pvmap::open_octree(&file("room.octree"))?, Mapped::open(&file("room.vmap"))?);
     let (octree, map) = (OctreeView::open(&octree)?, MapView::open(&map)?);
     let frame = &octree.frame().frame;
-    let points = OctreeSplats::new(&octree, ColorBy::Rgb, 1.0)?;
-    let surfels = MapSplats::new(&map, ColorBy::Rgb, None, 1.0)?;
+    let points = OctreeSplats::new(&octree, None, Paint::new(ColorBy::Rgb, None), 1.0)?;
+    let surfels = MapSplats::new(&map, Paint::new(ColorBy::Rgb, None), 1.0)?;
     println!("{:<10}{:>12}{:>10}{:>10}{:>10}", "", "splats", "view", "draw s", "PNG s");
     for (name, splats) in [("points", &points as &dyn Source), ("surfels", &surfels)] {
         let around = bounds(splats)?.unwrap_or_default();

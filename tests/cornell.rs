@@ -6,36 +6,15 @@ mod cli_common;
 
 use std::path::Path;
 
-use cli_common::{Bench, data, is_slow_asked_for};
+use cli_common::{Bench, data, is_slow_asked_for, needle};
 use pvmap::accuracy::{Way, compare, draw_place};
 use pvmap::query::Place;
-use pvmap::scan::write_mesh;
 use pvmap::scene::{Mesh, Scene, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::OctreeView;
 use pvmap::vmap::octree::Placement;
 use pvmap::{Limits, Quiet};
 use serde_json::Value;
-
-/// A needle with eight sides and a notch half way up, its front outward, y up.
-fn needle(path: &Path) {
-    let ring = [[1.0, 0.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 1.0]];
-    let mut corners = vec![[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]];
-    for (y, r) in [(1.0, 1.0), (2.0, 0.3), (3.0, 0.8)] {
-        corners.extend(ring.map(|[x, z]| [x * r, y, z * r]));
-    }
-    let mut triangles = Vec::new();
-    for i in 0..4 {
-        let next = (i + 1) % 4;
-        triangles.push([0, 2 + next, 2 + i]);
-        triangles.push([1, 10 + i, 10 + next]);
-        for ring in [2, 6] {
-            let [a, b, c, d] = [ring + i, ring + next, ring + 4 + next, ring + 4 + i];
-            triangles.extend([[a, b, c], [a, c, d]]);
-        }
-    }
-    write_mesh(path, &corners, &triangles, &vec![[0; 3]; triangles.len()]).unwrap();
-}
 
 fn two_needles(folder: &Path) -> Scene {
     let path = folder.join("needle.ply");

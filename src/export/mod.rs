@@ -17,7 +17,7 @@ use pvmap_vmap::octree::{FILE_NAME, Point};
 use pvmap_vmap::{MapView, OctreeView, Router};
 
 use crate::build::open_octree;
-use crate::{Error, Limits};
+use crate::{Error, Limits, require_pair};
 pub use fields::PointField;
 use fields::Values;
 use output::Output;
@@ -69,7 +69,8 @@ pub fn export_points(
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
     let map = Map::open(&map_bytes).map_err(|e| of_map(&request.map, e))?;
-    check_pair(request, map.view(), &octree)?;
+    require_pair(&request.map, map.view(), &request.octree, &octree)?;
+    check_name(request, &octree)?;
     let done = limits.run(|| run(request, &map, &octree, limits, watch))?;
     done.map_err(|e| match e {
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
@@ -85,23 +86,8 @@ fn of_map(path: &Path, e: impl Into<QueryError>) -> Error {
     }
 }
 
-/// Refuses a map of other points, and an output that would replace a scan.
-fn check_pair(
-    request: &ExportRequest,
-    map: &MapView<'_>,
-    octree: &OctreeView<'_>,
-) -> Result<(), Error> {
-    let (of, from) = (map.summary(), octree.summary());
-    // Points that are alike but elsewhere have the same digest. [D-2]
-    let is_of = (of.digest, of.n_points) == (from.digest, from.n_points)
-        && map.frame().frame == octree.frame().frame;
-    if !is_of {
-        let (map, octree) = (request.map.display(), request.octree.display());
-        return Err(Error::Data(format!(
-            "{map}: not a map of {octree}, but of other points; give the octree it was built from, \
-             or build a map of this one"
-        )));
-    }
+/// Refuses an output that would replace a scan.
+fn check_name(request: &ExportRequest, octree: &OctreeView<'_>) -> Result<(), Error> {
     let name = request.output.file_name().unwrap_or_default();
     for source in octree.sources() {
         let of_scan = octree.source_name(source).map_err(OctreeError::from)?;

@@ -9,69 +9,36 @@ use std::ops::Range;
 use pvmap_geometry::normal::{NORMAL_LENGTH, Normal, dominant_axis};
 use pvmap_vmap::{MapView, Surfel};
 
-use crate::color::{VIOLET, gray, of_bin, of_normal, ramp, srgb};
 use crate::error::RenderError;
-use crate::source::{ColorBy, Shape, Source, Splat};
+use crate::paint::{Paint, Sample};
+use crate::source::{Shape, Source, Splat};
 
 /// Half spacings by which a patch is drawn larger on every side: points that lie at random leave
 /// gaps of more than their mean spacing between the boxes of two leaves.
 const OVERLAP: f32 = 1.0;
+/// So many surfels, spread over the map, say whether a scan has colours.
+const N_ASKED_FOR_COLOR: u32 = 64;
 
 /// The surfels of a map.
+#[derive(Debug)]
 pub struct MapSplats<'a> {
     view: &'a MapView<'a>,
-    color_by: ColorBy,
-    seen: Option<&'a (dyn Fn(u32) -> bool + Sync)>,
+    paint: Paint<'a>,
     scale: f32,
 }
 
-impl std::fmt::Debug for MapSplats<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("MapSplats").field("color_by", &self.color_by).finish_non_exhaustive()
-    }
-}
-
 impl<'a> MapSplats<'a> {
-    /// Takes the surfels of a map, `scale` times as large; those that are `seen` are
-    /// violet.
+    /// Takes the surfels of a map, `scale` times as large.
     ///
     /// # Errors
     /// Where there are values to colour by, but not one a surfel.
     pub fn new(
         view: &'a MapView<'a>,
-        color_by: ColorBy,
-        seen: Option<&'a (dyn Fn(u32) -> bool + Sync)>,
+        paint: Paint<'a>,
         scale: f32,
     ) -> Result<MapSplats<'a>, RenderError> {
-        let expected = view.summary().n_surfels;
-        match &color_by {
-            ColorBy::Values(values) if values.of.len() != expected as usize => {
-                Err(RenderError::Values { found: values.of.len(), expected })
-            }
-            _ => Ok(MapSplats { view, color_by, seen, scale }),
-        }
-    }
-
-    /// Says whether the scan has no colours: all its surfels are like the first.
-    ///
-    /// # Errors
-    /// Where that cannot be read.
-    pub fn is_gray(&self) -> Result<bool, RenderError> {
-        Ok(self.n_splats() == 0 || self.view.surfel(0)?.color.is_none())
-    }
-
-    fn color(&self, id: u32, surfel: &Surfel) -> [f32; 3] {
-        if self.seen.is_some_and(|seen| seen(id)) {
-            return srgb(VIOLET);
-        }
-        match &self.color_by {
-            ColorBy::Rgb => {
-                surfel.color.map_or_else(gray, |color| color.map(|v| f32::from(v) / 65535.0))
-            }
-            ColorBy::Normal => of_normal(unit(surfel.normal)),
-            ColorBy::Bin => of_bin(surfel.bin),
-            ColorBy::Values(values) => values.share(id as usize).map_or_else(gray, ramp),
-        }
+        paint.check(view.summary().n_surfels)?;
+        Ok(MapSplats { view, paint, scale })
     }
 }
 
@@ -80,24 +47,32 @@ impl Source for MapSplats<'_> {
         self.view.summary().n_surfels.into()
     }
 
+    fn is_gray(&self) -> Result<bool, RenderError> {
+        let n_surfels = self.view.summary().n_surfels;
+        let step = n_surfels.div_ceil(N_ASKED_FOR_COLOR).max(1);
+        for id in (0..n_surfels).step_by(step as usize) {
+            if self.view.surfel(id)?.color.is_some() {
+                return Ok(false);
+            }
+        }
+        Ok(self.paint.is_of_scan())
+    }
+
     fn read(&self, range: Range<u64>, out: &mut Vec<Splat>) -> Result<(), RenderError> {
         for id in range {
             // Below `n_surfels`, which is a u32.
             let id = id as u32;
             let surfel = self.view.surfel(id)?;
             let (centre, shape) = patch(&surfel, self.scale);
-            out.push(Splat {
-                centre,
-                normal: unit(surfel.normal),
-                shape,
-                two_sided: surfel.two_sided,
-                color: self.color(id, &surfel),
-            });
+            let normal = unit(surfel.normal);
+            let scanned = surfel.color.map(|color| color.map(|v| f32::from(v) / 65535.0));
+            let sample = Sample { surfel: Some(id), scanned, normal, bin: surfel.bin };
+            let (two_sided, color) = (surfel.two_sided, self.paint.color(&sample));
+            out.push(Splat { centre, normal, shape, two_sided, color });
         }
         Ok(())
     }
 }
-
 /// Gives the middle of a surfel's patch, on its plane, and its extent.
 fn patch(surfel: &Surfel, scale: f32) -> ([f32; 3], Shape) {
     let (min, max) = (surfel.patch.min, surfel.patch.max);

@@ -40,6 +40,14 @@ pub trait Source: Sync {
     /// Counts them.
     fn n_splats(&self) -> u64;
 
+    /// Says whether they should have the scan's colours, and it has none.
+    ///
+    /// # Errors
+    /// Where what they are read from is damaged.
+    fn is_gray(&self) -> Result<bool, RenderError> {
+        Ok(false)
+    }
+
     /// Reads a range of them, in order, to the end of `out`.
     ///
     /// # Errors
