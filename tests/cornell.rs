@@ -9,6 +9,7 @@ use std::path::Path;
 use cli_common::{Bench, data, is_slow_asked_for, needle};
 use pvmap::accuracy::{Way, compare, draw_place};
 use pvmap::query::Place;
+use pvmap::scan::write_mesh;
 use pvmap::scene::{Mesh, Scene, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::OctreeView;

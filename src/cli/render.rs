@@ -124,7 +124,7 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     let splats = splats_of(view, drawn, paint, args.radius).map_err(fail)?;
     let mut picture = draw(args, &*splats, &camera, context).map_err(fail)?;
     if let Some(eye) = &eye
-        && !picture.mark(&camera, eye.place, MARK)
+        && !picture.mark(&camera, eye.place, eye.distance, MARK)
     {
         context.progress.note("the place that --visible-from names is not in the picture");
     }

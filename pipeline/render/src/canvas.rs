@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::camera::Camera;
 use crate::color::{Rgb, encode, srgb};
-use crate::disc::{Disc, Look};
+use crate::disc::{Disc, Look, Row};
 use crate::error::RenderError;
 use crate::picture::Picture;
 use crate::source::{CHUNK_SPLATS, Source, chunks};
@@ -160,46 +160,50 @@ impl Band {
         Band { first_row, n_rows, width, corner, depths, pixels }
     }
 
-    /// Walks the pixels a disc may cover: place in the band, offset from the disc's middle.
+    /// Walks the pixels a disc may cover, row by row: the offset from its middle, what is held of
+    /// the pixel.
     #[inline(always)]
-    fn walk(&mut self, disc: &Disc, mut visit: impl FnMut(&mut f32, &mut Pixel, f32, f32)) {
+    fn walk(&mut self, disc: &Disc, mut visit: impl FnMut(&Row<'_>, f32, &mut f32, &mut Pixel)) {
         let [top, bottom] = disc.rows.map(usize::from);
         let [left, right] = disc.columns.map(usize::from);
         let end = self.first_row + self.n_rows;
-        for row in top.max(self.first_row)..bottom.min(end) {
-            let dy = disc.offset(row as f32 + self.corner[1], 1);
-            let start = (row - self.first_row) * self.width;
+        for y in top.max(self.first_row)..bottom.min(end) {
+            let row = disc.row(y as f32 + self.corner[1]);
+            let start = (y - self.first_row) * self.width;
             let depths = &mut self.depths[start + left..start + right];
             let pixels = &mut self.pixels[start + left..start + right];
-            for ((column, depth), pixel) in (left..).zip(depths).zip(pixels) {
-                visit(depth, pixel, disc.offset(column as f32 + self.corner[0], 0), dy);
+            for ((x, depth), pixel) in (left..).zip(depths).zip(pixels) {
+                visit(&row, row.offset(x as f32 + self.corner[0]), depth, pixel);
             }
         }
     }
 
     /// First pass: how near is the nearest surface?
     fn sound(&mut self, disc: &Disc) {
-        self.walk(disc, |depth, _, dx, dy| {
-            let cover = disc.at(dx, dy);
-            if cover.share2 <= 1.0 {
-                *depth = depth.min(cover.depth + disc.tolerance);
+        self.walk(disc, |row, dx, depth, _| {
+            let farther = row.farther(dx);
+            let to = row.depth(dx, farther) + disc.tolerance;
+            if to < *depth && row.share2(dx, farther) <= 1.0 {
+                *depth = to;
             }
         });
     }
 
     /// Second pass: what colour has it?
     fn blend(&mut self, disc: &Disc) {
-        self.walk(disc, |depth, pixel, dx, dy| {
-            let cover = disc.at(dx, dy);
-            if cover.depth > *depth {
+        self.walk(disc, |row, dx, depth, pixel| {
+            let farther = row.farther(dx);
+            let at = row.depth(dx, farther);
+            if at > *depth {
                 return;
             }
-            if cover.share2 <= 1.0 {
-                let inner = 1.0 - cover.share2;
-                pixel.surface.add(disc.color, inner * inner + RIM_WEIGHT);
-            } else if cover.depth + 2.0 * disc.tolerance < *depth {
+            let share2 = row.share2(dx, farther);
+            if share2 <= 1.0 {
+                let inner = 1.0 - share2;
+                pixel.surface.add(disc.color, (inner * inner + RIM_WEIGHT) * disc.weight);
+            } else if at + 2.0 * disc.tolerance < *depth {
                 // Nearer than the nearest surface by more than it is thick: an edge before it.
-                let share = disc.fringe(dx, dy);
+                let share = row.fringe(dx, farther);
                 if share > 0.0 {
                     pixel.fringe.add(disc.color, share);
                     pixel.covered = pixel.covered.max(share);

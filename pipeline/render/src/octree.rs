@@ -20,6 +20,8 @@ const N_BESIDE: usize = 3;
 /// Half spacings in a point's radius. Points that lie at random leave e^(-π r² / (2h)²) of a
 /// surface bare: 46 % at r = h, 4 % at 2 h, 0.08 % at 3 h.
 const RADIUS_HALF_SPACINGS: f32 = 3.0;
+/// Half spacings by which a surface may be deeper than one of its points says.
+pub(crate) const NOISE_HALF_SPACINGS: f32 = 2.0;
 
 /// The points of an octree: discs of three half spacings.
 #[derive(Debug)]
@@ -101,12 +103,14 @@ impl Source for OctreeSplats<'_> {
             places.push(point.key.g);
             let centre = point.key.g.map(|v| v as f32);
             let two_sided = !point.key.oriented;
-            out.push(Splat { centre, normal, shape: Shape::Round(1.0), two_sided, color });
+            let shape = Shape::Round(1.0);
+            out.push(Splat { centre, normal, shape, noise: 1.0, two_sided, color });
         }
         let half_spacings = half_spacings(&places);
         for (i, splat) in out[first..].iter_mut().enumerate() {
             let half_spacing = half_spacings[i / GROUP_POINTS];
             splat.shape = Shape::Round(half_spacing * RADIUS_HALF_SPACINGS * self.scale);
+            splat.noise = half_spacing * NOISE_HALF_SPACINGS;
         }
         Ok(())
     }

@@ -19,6 +19,8 @@ pub struct Splat {
     pub normal: [f32; 3],
     /// How far it reaches from its middle.
     pub shape: Shape,
+    /// What may lie so much deeper and be of the same surface.
+    pub noise: f32,
     /// Whether both faces count.
     pub two_sided: bool,
     /// In linear light, 0…1.
@@ -30,9 +32,12 @@ pub struct Splat {
 pub enum Shape {
     /// A disc of this radius, more than 0.
     Round(f32),
-    /// What of its plane is so far from its middle at the most along x, y and z, each more than 0.
-    /// A disc where there is no normal.
-    Box([f32; 3]),
+    /// What of its plane lies in a box: its least and its greatest corner from the middle, each
+    /// number less or more than 0. A disc where there is no normal.
+    Box([[f32; 3]; 2]),
+    /// What of its plane lies in an ellipsoid with these half axes along x, y and z, each more than
+    /// 0. A disc where there is no normal.
+    Ellipse([f32; 3]),
 }
 
 /// Splats that can be read in any order, from many threads at once.

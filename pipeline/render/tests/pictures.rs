@@ -46,8 +46,8 @@ fn ahead(eye: [f64; 3], lens: Lens) -> Camera {
 fn disc(centre: [f32; 3], normal: [f32; 3], radius: f32, color: [u8; 3]) -> Splat {
     let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
     let normal = if length > 0.0 { normal.map(|v| v / length) } else { normal };
-    let shape = Shape::Round(radius);
-    Splat { centre, normal, shape, two_sided: false, color: srgb(color) }
+    let (shape, noise) = (Shape::Round(radius), radius * 2.0 / 3.0);
+    Splat { centre, normal, shape, noise, two_sided: false, color: srgb(color) }
 }
 
 fn draw(splats: &[Splat], camera: &Camera, style: &Style) -> Picture {
@@ -93,8 +93,10 @@ fn a_splat_covers_the_pixels_whose_rays_meet_it() {
     for lens in [SQUARE, Lens::Orthographic { width: 200.0 }] {
         let camera = ahead(EYE, lens);
         let round = disc(centre, tilted, 30.0, RED);
-        let square = Splat { shape: Shape::Box([25.0, 19.0, 15.0]), ..round };
-        for splat in [round, square] {
+        let (low, high) = ([-25.0, -9.0, -15.0], [20.0, 19.0, 30.0]);
+        let square = Splat { shape: Shape::Box([low, high]), ..round };
+        let oval = Splat { shape: Shape::Ellipse([30.0, 15.0, 25.0]), ..round };
+        for splat in [round, square, oval] {
             let picture = draw(&[splat], &camera, &PLAIN);
             let mut n_inside = 0;
             for (x, y) in pixels() {
@@ -103,8 +105,11 @@ fn a_splat_covers_the_pixels_whose_rays_meet_it() {
                     Shape::Round(radius) => {
                         p.map(|v| v * v).iter().sum::<f64>().sqrt() / f64::from(radius)
                     }
-                    Shape::Box(half) => {
-                        (0..3).map(|i| (p[i] / f64::from(half[i])).abs()).fold(0.0, f64::max)
+                    Shape::Box([low, high]) => (0..3)
+                        .map(|i| (p[i] / f64::from(low[i])).max(p[i] / f64::from(high[i])))
+                        .fold(0.0, f64::max),
+                    Shape::Ellipse(half) => {
+                        (0..3).map(|i| (p[i] / f64::from(half[i])).powi(2)).sum::<f64>().sqrt()
                     }
                 };
                 n_inside += usize::from(share < 1.0);
@@ -196,6 +201,32 @@ fn a_disc_at_the_eye_covers_everything() {
     assert_eq!(count(&draw(&[near], &camera, &PLAIN)), 160 * 120);
     // From the middle of the picture down; above the plane is behind the eye or far away.
     assert!(count(&draw(&[slanted], &camera, &PLAIN)) > 160 * 60);
+}
+
+#[test]
+fn what_begins_behind_the_eye_is_seen_where_it_reaches_before_it() {
+    let camera = ahead(EYE, SQUARE);
+    // A floor whose middle is under or behind the eye: it covers what is below the horizon, as far
+    // as it reaches.
+    let floor = |y: f32, shape| {
+        let splat = disc([1000.0, y, 900.0], [0.0, 0.0, 1.0], 1.0, RED);
+        draw(&[Splat { shape, ..splat }], &camera, &PLAIN)
+    };
+    for shape in [
+        Shape::Round(4000.0),
+        Shape::Box([[-4000.0; 3], [4000.0; 3]]),
+        Shape::Ellipse([4000.0, 4000.0, 9.0]),
+    ] {
+        for y in [1.0, 0.0, -1.0, -500.0] {
+            let picture = floor(y, shape);
+            for (x, y) in pixels() {
+                // Below the horizon's row 60 by 3 pixels: 2000 steps away.
+                assert!(y < 64 || picture.pixel(x, y) == RED, "{shape:?} {x} {y}");
+                assert!(y > 57 || picture.pixel(x, y) == WHITE, "{shape:?} {x} {y}");
+            }
+        }
+        assert_eq!(count(&floor(-4001.0, shape)), 0);
+    }
 }
 
 /// Points at random on a wall before a second wall.
@@ -331,7 +362,7 @@ fn marks_are_dots_or_rings_where_hidden() {
     let green = [0, 255, 0];
     let mark = |y: f64| {
         let mut picture = draw(&[wall], &camera, &PLAIN);
-        assert!(picture.mark(&camera, [1000.0, y, 1000.0], green));
+        assert!(picture.mark(&camera, [1000.0, y, 1000.0], 0.5, green));
         picture
     };
     assert_eq!(mark(50.0).pixel(80, 60), green);
@@ -342,7 +373,7 @@ fn marks_are_dots_or_rings_where_hidden() {
     let mut picture = draw(&[wall], &camera, &PLAIN);
     let before = picture.clone();
     for out in [[1000.0, -5.0, 1000.0], [5000.0, 100.0, 1000.0]] {
-        assert!(!picture.mark(&camera, out, green));
+        assert!(!picture.mark(&camera, out, 0.0, green));
     }
     assert_eq!(picture, before);
 }

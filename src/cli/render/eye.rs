@@ -11,6 +11,8 @@ use crate::cli::Context;
 /// A place and what it sees.
 pub(super) struct Eye {
     pub(super) place: [f64; 3],
+    /// World units from it to the surfel that answers for it.
+    pub(super) distance: f64,
     pub(super) seen: SurfelSet,
 }
 
@@ -52,7 +54,7 @@ pub(super) fn look(
         seen.len(),
         map.view().summary().n_surfels
     ));
-    Ok(Eye { place: position, seen })
+    Ok(Eye { place: position, distance: at.distance, seen })
 }
 
 /// Takes Δ and K as given, or what leaves no specks: of points that lie at random π Δ²/(2h)² are
