@@ -7,19 +7,20 @@ use std::process::ExitCode;
 use pvmap::geometry::Frame;
 use pvmap::query::{Map, QueryError};
 use pvmap::render::{
-    Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Picture, RenderError, Side, Source,
-    Style, Values, View, bounds, render,
+    Camera, Clipped, ColorBy, MAX_SIDE_PX, MapSplats, OctreeSplats, Paint, Picture, RenderError,
+    Source, Style, Values, held_bytes, render,
 };
 use pvmap::vmap::container::kind_of;
 use pvmap::vmap::octree::FILE_NAME;
 use pvmap::vmap::{Kind, MapView, OctreeView};
-use pvmap::{Error, StoreError, TableFile, Watch, require_pair};
+use pvmap::{Error, Limits, StoreError, TableFile, Watch, memory, require_pair};
 
-use self::args::{ColorName, Cull, ViewFrom};
+use self::args::{ColorName, Cull};
 use super::exact::Points;
 use super::{Context, Outcome, map_file, refuse_input};
 
 mod args;
+mod camera;
 mod eye;
 mod values;
 
@@ -29,7 +30,8 @@ pub(super) use self::args::Args;
 const MARK: [u8; 3] = [0, 225, 235];
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
-    make(args, context)?;
+    let limits = Limits { threads: args.threads, memory_bytes: args.memory };
+    limits.run(|| make(args, context))??;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -39,10 +41,7 @@ fn make(args: &Args, context: &Context) -> Result<(), Error> {
         let message = "a picture is not for a terminal; give -o OUT.png or send it on".to_owned();
         return Err(Error::Usage(message));
     }
-    if (args.color_by == ColorName::Scalar) != args.scalar.is_some() {
-        let message = "--color-by scalar and --scalar FILE.csv:NAME go together".to_owned();
-        return Err(Error::Usage(message));
-    }
+    check(args)?;
     let (path, bytes) = map_file(&args.file)?;
     // Before anything that takes time: can it be written?
     let output = TableFile::create(&args.output)?;
@@ -54,6 +53,24 @@ fn make(args: &Args, context: &Context) -> Result<(), Error> {
     picture.write_png(&mut out).map_err(|e| named(&args.output, &args.output, e))?;
     let fail = |e: io::IntoInnerError<_>| StoreError::io(&args.output, "write", e.into_error());
     Ok(out.into_inner().map_err(fail)?.commit()?)
+}
+
+/// Refuses what does not go together, and a picture that does not fit in memory.
+fn check(args: &Args) -> Result<(), Error> {
+    let refuse = |message: &str| Err(Error::Usage(message.to_owned()));
+    if (args.color_by == ColorName::Scalar) != args.scalar.is_some() {
+        return refuse("--color-by scalar and --scalar FILE.csv:NAME go together");
+    }
+    let is_number =
+        matches!(args.color_by, ColorName::Level | ColorName::SeesCount | ColorName::Scalar);
+    if args.range.is_some() && !is_number {
+        return refuse("--range is for numbers: --color-by level, sees-count or scalar");
+    }
+    // A side that is too long is refused with the camera.
+    if args.size.width_px.max(args.size.height_px) <= MAX_SIDE_PX {
+        memory::require("the picture (--size)", held_bytes(args.size), args.memory)?;
+    }
+    Ok(())
 }
 
 /// Lists the files that are read; an octree is the one in its folder.
@@ -87,8 +104,13 @@ fn of_octree(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Resul
     let fail = |e| named(path, path, e);
     let paint = Paint::new(color_by, None);
     let splats = OctreeSplats::new(&view, None, paint, args.radius).map_err(fail)?;
-    let camera = camera_of(args, &splats, &view.frame().frame).map_err(fail)?;
-    draw(args, &splats, &camera, context).map_err(fail)
+    let frame = &view.frame().frame;
+    let splats = clipped(args, Box::new(splats), frame);
+    let seen_from = camera::view_of(args, &*splats, frame).map_err(fail)?;
+    let camera = Camera::new(&seen_from, args.size, frame).map_err(fail)?;
+    let picture = draw(args, &*splats, &camera, context).map_err(fail)?;
+    camera::tell(args, &seen_from, context);
+    Ok(picture)
 }
 
 fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<Picture, Error> {
@@ -104,13 +126,11 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     let fail = |e| named(path, octree_path, e);
     // Before anything that takes time: is there such a camera?
     let plain = Paint::new(ColorBy::Rgb, None);
-    let plain = splats_of(view, drawn, plain, args.radius).map_err(fail)?;
-    let camera = camera_of(args, &*plain, &view.frame().frame).map_err(fail)?;
-    let color_by = colors_of(args, &map, path)?;
-    let ends = match &color_by {
-        ColorBy::Values(values) => Some((values.min, values.max)),
-        _ => None,
-    };
+    let plain = splats_of(args, view, drawn, plain).map_err(fail)?;
+    let frame = &view.frame().frame;
+    let seen_from = camera::view_of(args, &*plain, frame).map_err(fail)?;
+    let camera = Camera::new(&seen_from, args.size, frame).map_err(fail)?;
+    let color_by = colors_of(args, &map, path, context)?;
     let of_eye = |e| match &points {
         Some(points) => points.named(path, e),
         None => of_query(path, e),
@@ -120,8 +140,9 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
         None => None,
     };
     let is_seen = |id: u32| eye.as_ref().is_some_and(|eye| eye.seen.contains(id));
-    let paint = Paint::new(color_by, Some(&is_seen));
-    let splats = splats_of(view, drawn, paint, args.radius).map_err(fail)?;
+    let paint = Paint::new(color_by, eye.is_some().then_some(&is_seen));
+    let ends = paint.values().map(|values| (values.min, values.max));
+    let splats = splats_of(args, view, drawn, paint).map_err(fail)?;
     let mut picture = draw(args, &*splats, &camera, context).map_err(fail)?;
     if let Some(eye) = &eye
         && !picture.mark(&camera, eye.place, eye.distance, MARK)
@@ -131,6 +152,7 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     if let Some((min, max)) = ends {
         picture.legend(min, max);
     }
+    camera::tell(args, &seen_from, context);
     Ok(picture)
 }
 
@@ -145,33 +167,53 @@ fn points_of(args: &Args) -> Result<Option<Points>, Error> {
 
 /// Gives what is drawn: points where there are some, else surfels.
 fn splats_of<'a>(
+    args: &Args,
     view: &'a MapView<'a>,
     points: Option<&'a OctreeView<'a>>,
     paint: Paint<'a>,
-    scale: f32,
 ) -> Result<Box<dyn Source + 'a>, RenderError> {
-    Ok(match points {
-        Some(points) => Box::new(OctreeSplats::new(points, Some(view), paint, scale)?),
-        None => Box::new(MapSplats::new(view, paint, scale)?),
-    })
+    let splats: Box<dyn Source + 'a> = match points {
+        Some(points) => Box::new(OctreeSplats::new(points, Some(view), paint, args.radius)?),
+        None => Box::new(MapSplats::new(view, paint, args.radius)?),
+    };
+    Ok(clipped(args, splats, &view.frame().frame))
 }
 
-fn colors_of(args: &Args, map: &Map<'_>, path: &Path) -> Result<ColorBy, Error> {
+fn clipped<'a>(args: &Args, splats: Box<dyn Source + 'a>, frame: &Frame) -> Box<dyn Source + 'a> {
+    match args.clip {
+        Some(corners) => Box::new(Clipped::new(splats, corners, frame)),
+        None => splats,
+    }
+}
+
+fn colors_of(args: &Args, map: &Map<'_>, path: &Path, context: &Context) -> Result<ColorBy, Error> {
     let view = map.view();
-    Ok(match args.color_by {
-        ColorName::Rgb => ColorBy::Rgb,
-        ColorName::Normal => ColorBy::Normal,
-        ColorName::Bin => ColorBy::Bin,
-        ColorName::Level => ColorBy::Values(values::levels(view, path)?),
+    let mut values = match args.color_by {
+        ColorName::Rgb => return Ok(ColorBy::Rgb),
+        ColorName::Normal => return Ok(ColorBy::Normal),
+        ColorName::Bin => return Ok(ColorBy::Bin),
+        ColorName::Level => values::levels(view, path)?,
         ColorName::SeesCount => {
             let counts = map.sees_counts().map_err(|e| of_query(path, e))?;
-            ColorBy::Values(Values::new(counts.into_iter().map(|n| n as f32).collect()))
+            Values::new(counts.into_iter().map(|n| n as f32).collect())
         }
         ColorName::Scalar => {
             let (file, column) = args.scalar.as_ref().expect("checked before the map was opened");
-            ColorBy::Values(values::scalars(file, column, view.summary().n_surfels)?)
+            let n_surfels = view.summary().n_surfels;
+            let (values, n_without) = values::scalars(file, column, n_surfels)?;
+            if n_without > 0 {
+                context.progress.note(&format!(
+                    "{n_without} of {n_surfels} surfels have no number in {}: they are grey",
+                    file.display()
+                ));
+            }
+            values
         }
-    })
+    };
+    if let Some([min, max]) = args.range {
+        (values.min, values.max) = (min, max);
+    }
+    Ok(ColorBy::Values(values))
 }
 
 fn draw(
@@ -192,42 +234,9 @@ fn draw(
         watch.advance(n);
         !watch.is_stopped()
     };
-    let picture = render(splats, camera, &style, &mut tell)?;
+    let picture = render(splats, camera, &style, args.memory, &mut tell)?;
     watch.take_stages();
     Ok(picture)
-}
-
-fn camera_of(args: &Args, splats: &dyn Source, frame: &Frame) -> Result<Camera, RenderError> {
-    Camera::new(&view_of(args, splats, frame)?, args.size, frame)
-}
-
-/// Finds where to look from.
-fn view_of(args: &Args, splats: &dyn Source, frame: &Frame) -> Result<View, RenderError> {
-    let lens = match args.ortho {
-        Some(width) => Lens::Orthographic { width },
-        None => Lens::Perspective { fov_deg: args.fov },
-    };
-    let fits = args.ortho == Some(0.0);
-    if let Some([eye, target]) = args.camera
-        && !fits
-    {
-        return Ok(View { eye, target, up: args.up, lens });
-    }
-    let side = match args.view {
-        ViewFrom::Corner => Side::Corner,
-        ViewFrom::Front => Side::Front,
-        ViewFrom::Back => Side::Back,
-        ViewFrom::Left => Side::Left,
-        ViewFrom::Right => Side::Right,
-        ViewFrom::Top => Side::Top,
-        ViewFrom::Bottom => Side::Bottom,
-    };
-    let around = bounds(splats)?.unwrap_or([[0.0; 3], [1.0; 3]]);
-    let whole = View::of_box(around, side, args.up, lens, args.size, frame)?;
-    Ok(match args.camera {
-        Some([eye, target]) => View { eye, target, up: args.up, lens: whole.lens },
-        None => whole,
-    })
 }
 
 /// Says which file an error is about, where it is about one: the map, or what is drawn.

@@ -6,7 +6,7 @@ use crate::error::RenderError;
 use crate::vector::{Vector, add_scaled, cross, direction, dot, sub};
 
 /// The largest side of a picture.
-const MAX_SIDE_PX: u32 = 1 << 14;
+pub const MAX_SIDE_PX: u32 = 1 << 14;
 /// A default view leaves this share of the picture free around the scan.
 const MARGIN: f64 = 0.04;
 /// Up and ahead must differ by more than this (the sine of their angle).
@@ -194,7 +194,7 @@ impl Camera {
 }
 
 /// Gives the world place of grid step 0 and the length of a step; 1 where the scan is one point.
-fn grid_of(frame: &Frame) -> (Vector, f64) {
+pub(crate) fn grid_of(frame: &Frame) -> (Vector, f64) {
     let unit = if frame.unit() > 0.0 { frame.unit() } else { 1.0 };
     (frame.world_of_real([0.0; 3]), unit)
 }

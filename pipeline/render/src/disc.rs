@@ -28,6 +28,15 @@ const FRINGE_PX: f32 = 1.0;
 const MIN_COSINE: f64 = 0.02;
 /// What a splat weighs among others that is seen from its edge; 1 if seen from the front.
 const MIN_WEIGHT: f64 = 1e-3;
+/// A splat that is tilted more than this (the cosine) is drawn smaller: at an outline it stands
+/// out, and of a wall so tilted there are many in every pixel.
+const GRAZING_COSINE: f64 = 0.2;
+/// So much of a disc is left when it is seen from its edge, and of a patch, which has fewer beside
+/// it.
+const GRAZING_DISC: f64 = 0.5;
+const GRAZING_PATCH: f64 = 0.85;
+/// But not a splat that is larger than this share of its distance: its tilt is not one.
+const LARGE_SHARE: f64 = 0.05;
 /// A ray that meets a plane farther than so many times the distance of the splat's middle, or
 /// behind the eye, misses the splat.
 const MAX_FARTHER: f32 = 1e3;
@@ -92,7 +101,7 @@ impl Disc {
             [0.0, 0.0, 0.0] => direction(camera.seen(middle)?.ray)?.map(|v| -v),
             normal => camera.turn(normal.map(f64::from)),
         };
-        let outline = Outline::of(splat, normal, camera);
+        let outline = Outline::of(splat, normal, camera).shrunk(middle, normal, camera);
         let off = outline.anchor(middle, normal, camera)?;
         let seen = camera.seen(add_scaled(middle, off, 1.0))?;
         let length = dot(seen.ray, seen.ray).sqrt();
@@ -310,6 +319,24 @@ impl Outline {
             reach: corners.iter().map(|&c| dot(c, c)).fold(0.0, f64::max).sqrt(),
             corners,
         }
+    }
+
+    /// Makes it smaller where it is seen from its edge.
+    fn shrunk(mut self, middle: Vector, normal: Vector, camera: &Camera) -> Outline {
+        let ray = if camera.is_perspective() { middle } else { [0.0, 0.0, 1.0] };
+        let cosine = (dot(normal, ray) / dot(ray, ray).sqrt()).abs();
+        let is_large = camera.is_perspective() && self.reach > LARGE_SHARE * middle[2];
+        // No cosine is one of a splat at the eye.
+        let is_grazing = cosine < GRAZING_COSINE;
+        if is_large || !is_grazing {
+            return self;
+        }
+        let least = if self.is_round { GRAZING_DISC } else { GRAZING_PATCH };
+        let share = least + (1.0 - least) * cosine / GRAZING_COSINE;
+        self.reach *= share;
+        self.axes = self.axes.map(|axis| axis.map(|v| v / share));
+        self.corners = self.corners.map(|corner| corner.map(|v| v * share));
+        self
     }
 
     /// Finds what the splat is projected about, from its middle: that itself, or where it is not

@@ -24,12 +24,12 @@ mod picture;
 mod source;
 mod vector;
 
-pub use camera::{Camera, Lens, Side, Size, View};
-pub use canvas::{Style, render};
+pub use camera::{Camera, Lens, MAX_SIDE_PX, Side, Size, View};
+pub use canvas::{Style, held_bytes, render};
 pub use color::{BINS, Rgb, VIOLET, gray, ramp, srgb};
 pub use error::RenderError;
 pub use map::MapSplats;
 pub use octree::OctreeSplats;
 pub use paint::{Paint, Seen};
 pub use picture::Picture;
-pub use source::{ColorBy, Shape, Source, Splat, Values, bounds};
+pub use source::{Clipped, ColorBy, Shape, Source, Splat, Values, bounds};

@@ -26,11 +26,11 @@ const GROUP_SURFELS: u32 = 8;
 const N_BESIDE: u32 = 16;
 /// Surfels of fewer points say nothing of the spacing, DESIGN.md §3.
 const ENOUGH_POINTS: u64 = 4;
-/// The area due to a surfel is a square spacing a point. A box of so many times that, or less, is
-/// drawn as it is: of a wall, grown as above, it is twice on average.
-const MOST_OF_DUE: f32 = 3.0;
-/// Else so many times: the disc about a square that is as large has 1.6.
-const ELLIPSE_OF_DUE: f32 = 2.0;
+/// The area due to a surfel is that of a disc of a square spacing a point, its radius grown by so
+/// many half spacings: few points leave larger gaps, of their size, than many.
+const DUE_OVERLAP: f32 = 1.25;
+/// A box of so many times that, or less, is drawn as it is.
+const MOST_OF_DUE: f32 = 1.6;
 /// So many surfels, spread over the map, say whether a scan has colours.
 const N_ASKED_FOR_COLOR: u32 = 64;
 
@@ -107,15 +107,22 @@ impl Source for MapSplats<'_> {
 
 /// Gives the lower median of half the spacing over surfels of enough points; over all where none
 /// has. At least a half.
+///
+/// The box of m points at random is on average (m - 1)/(m + 1) times as wide as what they lie in,
+/// and so are spacings that are taken from it.
 fn local_half_spacing(around: &[Surfel]) -> f32 {
     let of = |least: u64| {
         let enough = around.iter().filter(|surfel| surfel.n_points >= least);
-        let mut each: Vec<u32> = enough.map(|surfel| surfel.half_spacing).collect();
-        let middle = each.len().saturating_sub(1) / 2;
-        (!each.is_empty()).then(|| *each.select_nth_unstable(middle).1)
+        let unbiased = |surfel: &Surfel| {
+            let m = surfel.n_points.max(2) as f32;
+            surfel.half_spacing as f32 * (m + 1.0) / (m - 1.0)
+        };
+        let mut each: Vec<f32> = enough.map(unbiased).collect();
+        let middle = each.len().checked_sub(1)? / 2;
+        Some(*each.select_nth_unstable_by(middle, f32::total_cmp).1)
     };
-    // A spacing is below 2^22, in a file that was not forged.
-    (of(ENOUGH_POINTS).or_else(|| of(0)).unwrap_or(0) as f32).max(0.5)
+    let enough = around.iter().any(|surfel| surfel.n_points >= ENOUGH_POINTS);
+    of(if enough { ENOUGH_POINTS } else { 0 }).unwrap_or(0.5).max(0.5)
 }
 
 /// Gives what a surfel's plane is cut to.
@@ -128,22 +135,25 @@ fn plate(surfel: &Surfel, half_spacing: f32, scale: f32) -> Shape {
         .map(|i| (from_middle(i, i64::from(surfel.patch.min[i]) + margin) - more).min(-0.5));
     let high = [0, 1, 2]
         .map(|i| (from_middle(i, i64::from(surfel.patch.max[i]) - margin) + more).max(0.5));
-    let due = surfel.n_points as f32 * (2.0 * half_spacing).powi(2);
+    let disc = 2.0 * (surfel.n_points as f32 / std::f32::consts::PI).sqrt();
+    let radius = half_spacing * (disc + DUE_OVERLAP);
     let n = unit(surfel.normal);
     if n == [0.0; 3] {
-        let radius = (ELLIPSE_OF_DUE * due / std::f32::consts::PI).sqrt();
         let most = [0, 1, 2].map(|i| high[i].max(-low[i])).into_iter().fold(0.0, f32::max);
         return Shape::Round(radius.clamp(0.5, most) * scale);
     }
-    if area_in_box(n, [low, high]) <= MOST_OF_DUE * due {
+    let due = std::f32::consts::PI * radius * radius;
+    let is_box =
+        surfel.n_points >= ENOUGH_POINTS && area_in_box(n, [low, high]) <= MOST_OF_DUE * due;
+    if is_box {
         return Shape::Box([low.map(|v| v * scale), high.map(|v| v * scale)]);
     }
     let half = [0, 1, 2].map(|i| (high[i] - low[i]) / 2.0);
     // The plane cuts an ellipse of π a b c / |(a n_x, b n_y, c n_z)| out of the ellipsoid.
     let across = [0, 1, 2].map(|i| half[i] * n[i]).map(|v| v * v).iter().sum::<f32>().sqrt();
     let area = std::f32::consts::PI * half[0] * half[1] * half[2] / across;
-    let smaller = (ELLIPSE_OF_DUE * due / area).sqrt().min(1.0);
-    Shape::Ellipse(half.map(|v| v * smaller * scale))
+    let times = (due / area).sqrt();
+    Shape::Ellipse(half.map(|v| v * times * scale))
 }
 
 /// Gives the area of what lies in a box of the plane through the origin: the box's corners are the
@@ -238,17 +248,16 @@ mod tests {
         let n = [9459, 9459, 9459];
         let limb = surfel([[100, 100, 100], [200, 200, 200]], n, 16, 30);
         let Shape::Ellipse(half) = plate(&limb, 5.0, 1.0) else { panic!("no ellipse") };
-        let due = 16.0 * 100.0;
-        let area = std::f32::consts::PI * half[0] * half[0];
-        assert!((area / due - ELLIPSE_OF_DUE).abs() < 1e-3, "{area}");
+        let radius = (16.0 * 100.0 / std::f32::consts::PI).sqrt() + 5.0 * DUE_OVERLAP;
+        assert!((half[0] / radius - 1.0).abs() < 1e-3, "{half:?} {radius}");
     }
 
     #[test]
     fn spacings_are_those_around_and_not_of_lone_points() {
         let of = |m, h| surfel([[0; 3]; 2], [0, 0, 1 << 14], m, h);
         let around = [of(1, 90), of(16, 5), of(2, 70), of(9, 6), of(4, 40)];
-        assert_eq!(local_half_spacing(&around), 6.0);
-        assert_eq!(local_half_spacing(&[of(1, 90)]), 90.0);
+        assert_eq!(local_half_spacing(&around), 6.0 * 10.0 / 8.0);
+        assert_eq!(local_half_spacing(&[of(1, 90)]), 270.0);
         assert_eq!(local_half_spacing(&[]), 0.5);
     }
 

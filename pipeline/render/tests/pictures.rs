@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use pvmap_geometry::{Frame, grid};
 use pvmap_render::{
-    Camera, Lens, Picture, RenderError, Shape, Side, Size, Source, Splat, Style, View, bounds,
-    render, srgb,
+    Camera, Clipped, Lens, Picture, RenderError, Shape, Side, Size, Source, Splat, Style, View,
+    bounds, held_bytes, render, srgb,
 };
 
 /// Splats in memory.
@@ -24,6 +24,7 @@ impl Source for Few {
 }
 
 const SIZE: Size = Size { width_px: 160, height_px: 120 };
+const MEMORY: u64 = 1 << 30;
 const RED: [u8; 3] = [200, 30, 20];
 const BLUE: [u8; 3] = [20, 40, 210];
 const WHITE: [u8; 3] = [255; 3];
@@ -51,7 +52,7 @@ fn disc(centre: [f32; 3], normal: [f32; 3], radius: f32, color: [u8; 3]) -> Spla
 }
 
 fn draw(splats: &[Splat], camera: &Camera, style: &Style) -> Picture {
-    render(&Few(splats.to_vec()), camera, style, &mut |_| true).unwrap()
+    render(&Few(splats.to_vec()), camera, style, MEMORY, &mut |_| true).unwrap()
 }
 
 fn pixels() -> impl Iterator<Item = (u32, u32)> {
@@ -288,20 +289,24 @@ fn a_mirrored_scene_gives_a_mirrored_picture() {
 }
 
 #[test]
-fn threads_change_no_byte() {
-    let splats = Few(walls(30_000, 3.0));
+fn threads_and_memory_change_no_byte() {
+    // More than a block.
+    let splats = Few(walls(90_000, 3.0));
     let camera = ahead(EYE, SQUARE);
     let style = Style { shade: 0.5, ..PLAIN };
-    let png = |n_threads| {
+    let png = |n_threads, memory| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         let mut bytes = Vec::new();
-        let picture = pool.install(|| render(&splats, &camera, &style, &mut |_| true));
+        let picture = pool.install(|| render(&splats, &camera, &style, memory, &mut |_| true));
         picture.unwrap().write_png(&mut bytes).unwrap();
         bytes
     };
-    let one = png(1);
+    let one = png(1, MEMORY);
     assert!(one.starts_with(b"\x89PNG\r\n\x1a\n"));
-    assert!([2, 3, 8].into_iter().all(|n| png(n) == one));
+    assert!([2, 3, 8].into_iter().all(|n| png(n, MEMORY) == one));
+    // One block of two is kept, and none.
+    let held = held_bytes(SIZE);
+    assert!([held + (24 << 20), 0].into_iter().all(|memory| png(2, memory) == one));
 }
 
 #[test]
@@ -395,6 +400,27 @@ fn a_legend_is_drawn_where_there_is_room() {
 
 #[test]
 fn a_wish_to_stop_ends_it() {
-    let stopped = render(&Few(walls(10, 1.0)), &ahead(EYE, SQUARE), &PLAIN, &mut |_| false);
+    let stopped = render(&Few(walls(10, 1.0)), &ahead(EYE, SQUARE), &PLAIN, MEMORY, &mut |_| false);
     assert!(matches!(stopped, Err(RenderError::Stopped)));
+}
+
+#[test]
+fn what_is_clipped_is_not_there() {
+    let at = |x: f32| disc([x, 100.0, 1000.0], TOWARDS, 5.0, RED);
+    let all = Few(vec![at(950.0), at(1000.0), at(1050.0)]);
+    let corners = [[1040.0, 0.0, 0.0], [960.0, 200.0, 2000.0]];
+    let clipped = Clipped::new(Box::new(all), corners, &frame());
+    assert_eq!(bounds(&clipped).unwrap(), Some([[1000.0, 100.0, 1000.0]; 2]));
+    assert_eq!(clipped.n_splats(), 3);
+}
+
+#[test]
+fn an_orthographic_picture_from_a_place_holds_what_it_should() {
+    let around = [[900.0, 50.0, 950.0], [1010.0, 60.0, 1300.0]];
+    let up = [0.0, 0.0, 1.0];
+    let view = View { eye: EYE, target: [1000.0, 9.0, 1000.0], up, lens: SQUARE };
+    let width = view.width_of_box(around, SIZE, &frame()).unwrap();
+    // 300 up from the middle, 4:3, and the margin.
+    let expected = 2.0 * 300.0 * 4.0 / 3.0 / 0.92;
+    assert!((width / expected - 1.0).abs() < 1e-6, "{width} {expected}");
 }

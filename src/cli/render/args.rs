@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use pvmap::render::Size;
 
-use crate::cli::parse_point;
+use crate::cli::{parse_point, threads_parser};
 
 /// Make a picture of a map or an octree
 #[derive(Debug, clap::Args)]
@@ -16,6 +16,7 @@ points are drawn, coloured by what the map says of their surfels. Places and len
 scan's units. Without --camera the whole scan is in the picture, seen from the side that --view
 names: corner is from the front, above and a little to the right. Faces that are known to be turned
 away are left out, so that one looks into a closed room from outside; --cull none draws them, too.
+What was chosen is said as a --camera that can be refined.
 
 With --visible-from all is violet that the surfel at that place sees. --exact asks the points
 instead: of every surfel the one nearest to its middle. That takes a fraction of a millisecond a
@@ -49,7 +50,7 @@ pub(in crate::cli) struct Args {
     /// Where the eye is and what it looks at: x,y,z,x,y,z
     #[arg(
         long,
-        value_parser = parse_camera,
+        value_parser = parse_six,
         allow_hyphen_values = true,
         conflicts_with = "view",
         value_name = "EYE,TARGET"
@@ -105,6 +106,12 @@ pub(in crate::cli) struct Args {
     /// the order of their ids, or with a column surfel in any order
     #[arg(long, value_parser = parse_scalar, value_name = "CSV:COLUMN", verbatim_doc_comment)]
     pub(super) scalar: Option<(PathBuf, String)>,
+    /// Ends of the colours of numbers: MIN,MAX [default: the least and the greatest]
+    #[arg(long, value_parser = parse_range, allow_hyphen_values = true, value_name = "MIN,MAX")]
+    pub(super) range: Option<[f32; 2]>,
+    /// Only what lies between two corners: x,y,z,x,y,z
+    #[arg(long, value_parser = parse_six, allow_hyphen_values = true, value_name = "CORNERS")]
+    pub(super) clip: Option<[[f64; 3]; 2]>,
     /// Paint violet what this place sees, and mark it
     #[arg(long, value_parser = parse_point, allow_hyphen_values = true, value_name = "X,Y,Z")]
     pub(super) visible_from: Option<[f64; 3]>,
@@ -151,6 +158,19 @@ pub(in crate::cli) struct Args {
     /// What is behind everything: RRGGBB in hex
     #[arg(long, value_parser = parse_color, default_value = "ffffff", value_name = "COLOR")]
     pub(super) background: [u8; 3],
+    /// Most memory to hold, at least 64MiB; a picture takes about 50 bytes
+    /// a pixel
+    #[arg(
+        long,
+        default_value = "1GiB",
+        value_parser = pvmap::parse_memory,
+        value_name = "SIZE",
+        verbatim_doc_comment
+    )]
+    pub(super) memory: u64,
+    /// Threads; 0 takes as many as the machine has
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
+    pub(super) threads: usize,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -180,9 +200,20 @@ pub(super) enum Cull {
     None,
 }
 
-/// Reads `x,y,z,tx,ty,tz`.
-fn parse_camera(text: &str) -> Result<[[f64; 3]; 2], String> {
-    let refuse = || format!("{text:?} is not six numbers; write x,y,z,tx,ty,tz");
+/// Reads `MIN,MAX`.
+fn parse_range(text: &str) -> Result<[f32; 2], String> {
+    let ends = text.split_once(',').map(|(a, b)| (a.trim().parse(), b.trim().parse()));
+    match ends {
+        Some((Ok(min), Ok(max))) if min < max && f32::is_finite(min) && f32::is_finite(max) => {
+            Ok([min, max])
+        }
+        _ => Err(format!("{text:?} is no range; write MIN,MAX, the lesser first")),
+    }
+}
+
+/// Reads `x,y,z,x,y,z`.
+fn parse_six(text: &str) -> Result<[[f64; 3]; 2], String> {
+    let refuse = || format!("{text:?} is not six numbers; write x,y,z,x,y,z");
     let (at, _) = text.match_indices(',').nth(2).ok_or_else(refuse)?;
     match (parse_point(&text[..at]), parse_point(&text[at + 1..])) {
         (Ok(eye), Ok(target)) => Ok([eye, target]),
