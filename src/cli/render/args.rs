@@ -106,8 +106,15 @@ pub(in crate::cli) struct Args {
     /// the order of their ids, or with a column surfel in any order
     #[arg(long, value_parser = parse_scalar, value_name = "CSV:COLUMN", verbatim_doc_comment)]
     pub(super) scalar: Option<(PathBuf, String)>,
-    /// Ends of the colours of numbers: MIN,MAX [default: the least and the greatest]
-    #[arg(long, value_parser = parse_range, allow_hyphen_values = true, value_name = "MIN,MAX")]
+    /// Numbers that the darkest and the brightest colour stand for
+    /// [default: the least and the greatest]
+    #[arg(
+        long,
+        value_parser = parse_range,
+        allow_hyphen_values = true,
+        value_name = "MIN,MAX",
+        verbatim_doc_comment
+    )]
     pub(super) range: Option<[f32; 2]>,
     /// Only what lies between two corners: x,y,z,x,y,z
     #[arg(long, value_parser = parse_six, allow_hyphen_values = true, value_name = "CORNERS")]
