@@ -57,6 +57,12 @@ static ASKED: LazyLock<Asked> = LazyLock::new(|| {
 static MAP: LazyLock<Map<'static>> =
     LazyLock::new(|| Map::open(&ASKED.bytes).expect("just written"));
 
+static KEPT: LazyLock<Map<'static>> = LazyLock::new(|| {
+    let map = Map::open(&ASKED.bytes).expect("just written");
+    assert!(map.keep().expect("just written"));
+    map
+});
+
 /// Places of surfels, and the surfels.
 static LOCATED: LazyLock<Vec<(Place, Located)>> = LazyLock::new(|| {
     let mut rng = Rng::with_seed(1);
@@ -81,15 +87,24 @@ fn main() {
 
 #[divan::bench]
 fn locate(bencher: Bencher) {
+    locate_on(bencher, &MAP);
+}
+
+#[divan::bench]
+fn locate_kept(bencher: Bencher) {
+    locate_on(bencher, &KEPT);
+}
+
+fn locate_on(bencher: Bencher, map: &Map<'_>) {
     let found = |at: &&(Place, Located)| {
-        MAP.locate(&at.0, Snap::Within(f64::INFINITY)).is_ok_and(|l| l.surfel == at.1.surfel)
+        map.locate(&at.0, Snap::Within(f64::INFINITY)).is_ok_and(|l| l.surfel == at.1.surfel)
     };
     bencher
         .counter(ItemsCount::new(LOCATED.len()))
         .bench_local(|| assert_eq!(LOCATED.iter().filter(found).count(), LOCATED.len()));
 }
 
-/// Warm: the frames that hold the links have been decoded.
+/// The frames that hold the links have been decoded.
 #[divan::bench]
 fn pair(bencher: Bencher) {
     let pairs = || LOCATED.iter().zip(LOCATED.iter().rev());
@@ -97,6 +112,19 @@ fn pair(bencher: Bencher) {
         MAP.pair(&a.1, &b.1).expect("just written").visible
     };
     black_box(pairs().filter(visible).count());
+    bencher
+        .counter(ItemsCount::new(LOCATED.len()))
+        .bench_local(|| black_box(pairs()).filter(visible).count());
+}
+
+/// Warm: links and leaves are in memory.
+#[divan::bench]
+fn pair_kept(bencher: Bencher) {
+    let map = &KEPT;
+    let pairs = || LOCATED.iter().zip(LOCATED.iter().rev());
+    let visible = |(a, b): &(&(Place, Located), &(Place, Located))| {
+        map.pair(&a.1, &b.1).expect("just written").visible
+    };
     bencher
         .counter(ItemsCount::new(LOCATED.len()))
         .bench_local(|| black_box(pairs()).filter(visible).count());
@@ -113,7 +141,7 @@ fn visible_from(bencher: Bencher) {
 
 #[divan::bench]
 fn sees_counts(bencher: Bencher) {
-    bencher.bench_local(|| MAP.sees_counts().expect("just written").len());
+    bencher.bench_local(|| MAP.sees_counts(&|| true).expect("just written").len());
 }
 
 #[divan::bench]
@@ -184,17 +212,21 @@ fn open_1_gb(bencher: Bencher) {
 fn through_the_command(n_rows: usize) {
     let rows = ASKED.path.with_extension("csv");
     let mut text = String::from("x1,y1,z1,x2,y2,z2\n");
-    for (a, b) in LOCATED.iter().cycle().zip(LOCATED.iter().rev().cycle()).take(n_rows) {
-        let [[x, y, z], [u, v, w]] = [a.0.position, b.0.position];
-        text += &format!("{x:.3},{y:.3},{z:.3},{u:.3},{v:.3},{w:.3}\n");
+    let mut rng = Rng::with_seed(2);
+    for _ in 0..n_rows {
+        let [[x, y, z], [u, v, w]] = [(); 2].map(|()| LOCATED[rng.usize(..N_QUESTIONS)].0.position);
+        text += &format!("{x:.6},{y:.6},{z:.6},{u:.6},{v:.6},{w:.6}\n");
     }
     std::fs::write(&rows, text).expect("the temporary folder can be written");
     let started = Instant::now();
-    let status = Command::new(env!("CARGO_BIN_EXE_pvmap"))
+    let answered = Command::new(env!("CARGO_BIN_EXE_pvmap"))
         .args(["query".as_ref(), ASKED.path.as_os_str(), "pairs".as_ref(), rows.as_os_str()])
-        .stdout(Stdio::null())
-        .status();
-    assert!(status.is_ok_and(|s| s.success()), "pvmap query answers");
+        .stderr(Stdio::inherit())
+        .output()
+        .expect("pvmap can be started");
     let rate = n_rows as f64 / started.elapsed().as_secs_f64();
+    let answers = String::from_utf8(answered.stdout).expect("answers are text");
+    let n_answers = answers.lines().filter(|line| line.starts_with(['0', '1'])).count();
+    assert_eq!((answered.status.success(), n_answers), (true, n_rows), "each row has its answer");
     println!("\npvmap query MAP pairs ROWS.csv: {:.2} M rows/s", rate / 1e6);
 }

@@ -64,6 +64,15 @@ impl Error {
         Error::Artifact { path: path.to_path_buf(), source }
     }
 
+    /// Says which map a question failed at, where the map is to blame.
+    pub fn of_query(path: &Path, e: QueryError) -> Error {
+        match e {
+            QueryError::Format(e) => Error::artifact(path, e),
+            QueryError::Stopped => StoreError::Interrupted.into(),
+            e => Error::Query(e),
+        }
+    }
+
     /// Gives the exit code, as sysexits has them. Source: DESIGN.md §8.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use csv::StringRecord;
+use csv::{ByteRecord, StringRecord};
 use pvmap_store::{InputFile, StoreError};
 
 use crate::Error;
@@ -12,8 +12,8 @@ use crate::Error;
 /// The longest a row may be: twelve numbers take 300 bytes, the rest is for columns of others.
 const MAX_ROW_BYTES: u64 = 1 << 16;
 
-/// Room made for a row: six numbers of ten digits fit.
-const ROW_BYTES: usize = 96;
+/// Bytes read at a time.
+const BUFFER_BYTES: usize = 1 << 16;
 
 /// The rows of a CSV file or of standard input, with the header row read. A row may have any number
 /// of columns.
@@ -21,8 +21,74 @@ pub struct Rows {
     reader: csv::Reader<Guard<Box<dyn Read + Send>>>,
     header: StringRecord,
     path: PathBuf,
-    /// The line on which the row read last begins.
+    /// The row read last.
+    row: ByteRecord,
+    /// The line on which it begins.
     line: u64,
+}
+
+/// Some rows as they stand in the table, cell behind cell.
+#[derive(Debug, Default)]
+pub struct RowBlock {
+    text: Vec<u8>,
+    /// Where each cell ends.
+    cell_ends: Vec<u32>,
+    /// How many cells there are up to the end of each row.
+    row_ends: Vec<u32>,
+}
+
+/// A row of a block.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'b> {
+    block: &'b RowBlock,
+    first_cell: u32,
+    end_cell: u32,
+}
+
+impl RowBlock {
+    fn push(&mut self, row: &ByteRecord) {
+        let start = self.text.len() as u32;
+        self.text.extend_from_slice(row.as_slice());
+        let mut end = start;
+        self.cell_ends.extend(row.iter().map(|cell| {
+            end += cell.len() as u32;
+            end
+        }));
+        self.row_ends.push(self.cell_ends.len() as u32);
+    }
+
+    /// Counts the rows.
+    pub fn len(&self) -> usize {
+        self.row_ends.len()
+    }
+
+    /// Says whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.row_ends.is_empty()
+    }
+
+    /// Gives a row.
+    pub fn row(&self, i: usize) -> Row<'_> {
+        let end_of = |i: usize| self.row_ends[i];
+        let first_cell = i.checked_sub(1).map_or(0, end_of);
+        Row { block: self, first_cell, end_cell: end_of(i) }
+    }
+
+    /// Counts the bytes it takes.
+    fn held_bytes(&self) -> usize {
+        self.text.len() + 4 * (self.cell_ends.len() + self.row_ends.len())
+    }
+}
+
+impl<'b> Row<'b> {
+    /// Gives a cell with its blanks; none where the row has fewer.
+    pub fn get(&self, i: usize) -> Option<&'b [u8]> {
+        let cell = u32::try_from(i).ok().and_then(|i| self.first_cell.checked_add(i));
+        let cell = cell.filter(|&cell| cell < self.end_cell)? as usize;
+        let ends = &self.block.cell_ends;
+        let start = cell.checked_sub(1).map_or(0, |before| ends[before]);
+        Some(&self.block.text[start as usize..ends[cell] as usize])
+    }
 }
 
 impl std::fmt::Debug for Rows {
@@ -56,11 +122,22 @@ impl Rows {
     }
 
     fn of(input: Box<dyn Read + Send>, path: &Path) -> Result<Rows, Error> {
-        let guard =
-            Guard { input, n_given: 0, given: Vec::new(), row_start: 0, is_ahead: true, n_ends: 0 };
-        let reader = csv::ReaderBuilder::new().flexible(true).has_headers(false).from_reader(guard);
-        let mut rows =
-            Rows { reader, header: StringRecord::new(), path: path.to_path_buf(), line: 1 };
+        let guard = Guard {
+            input,
+            n_given: 0,
+            given: Vec::new(),
+            is_waiting: false,
+            row_start: 0,
+            is_ahead: true,
+            n_ends: 0,
+        };
+        let reader = csv::ReaderBuilder::new()
+            .flexible(true)
+            .has_headers(false)
+            .buffer_capacity(BUFFER_BYTES)
+            .from_reader(guard);
+        let (header, row) = (StringRecord::new(), ByteRecord::new());
+        let mut rows = Rows { reader, header, path: path.to_path_buf(), row, line: 1 };
         rows.header = rows.read()?.unwrap_or_default();
         rows.header.trim();
         Ok(rows)
@@ -86,34 +163,69 @@ impl Rows {
     /// # Errors
     /// Where the row is too long or no text, or the disk fails; the error names its line.
     pub fn read(&mut self) -> Result<Option<StringRecord>, Error> {
+        if !self.advance()? {
+            return Ok(None);
+        }
+        let text = StringRecord::from_byte_record(self.row.clone());
+        text.map(Some).map_err(|e| {
+            let column = e.utf8_error().field() + 1;
+            self.at_line(&format!("column {column}: this is not UTF-8 text"))
+        })
+    }
+
+    /// Reads rows until they are so many, take so many bytes or the next is not there yet; says
+    /// whether the table goes on.
+    ///
+    /// # Errors
+    /// Where a row is too long or the disk fails; the error names its line. The rows before it are
+    /// in the block.
+    pub fn read_block(
+        &mut self,
+        n_rows: usize,
+        n_bytes: usize,
+        block: &mut RowBlock,
+    ) -> Result<bool, Error> {
+        while block.len() < n_rows && block.held_bytes() < n_bytes {
+            if !self.advance()? {
+                return Ok(false);
+            }
+            block.push(&self.row);
+            let guard = self.reader.get_ref();
+            if guard.is_waiting && self.reader.position().byte() == guard.n_given {
+                break;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Goes to the next row; says whether there is one.
+    fn advance(&mut self) -> Result<bool, Error> {
         let (start, line) = (self.reader.position().byte(), self.reader.position().line());
         self.reader.get_mut().begin_row(start);
-        // One allocation for the text of a usual row, one for its cells.
-        let mut row = StringRecord::with_capacity(ROW_BYTES, self.header.len().max(8));
-        let read = self.reader.read_record(&mut row);
-        let line = line + self.reader.get_ref().n_ends;
-        self.line = line;
-        let located = |what: &dyn std::fmt::Display| {
-            Error::Data(format!("{}: line {line}: {what}", self.path.display()))
-        };
-        let too_long = format!(
-            "a row of more than {MAX_ROW_BYTES} bytes; give one pair a line and close every quote"
-        );
+        let read = self.reader.read_byte_record(&mut self.row);
+        self.line = line + self.reader.get_ref().n_ends;
         let is_row = read.map_err(|e| match e.into_kind() {
             csv::ErrorKind::Io(e) if e.get_ref().is_some_and(|e| e.is::<RowTooLong>()) => {
-                located(&too_long)
+                self.too_long()
             }
             csv::ErrorKind::Io(e) => StoreError::io(&self.path, "read", e).into(),
-            csv::ErrorKind::Utf8 { err, .. } => {
-                located(&format!("column {}: this is not UTF-8 text", err.field() + 1))
-            }
             // Rows of any length are taken and none is deserialised or sought.
-            other => located(&format!("{other:?}")),
+            other => self.at_line(&format!("{other:?}")),
         })?;
         if self.reader.position().byte() - self.reader.get_ref().row_start > MAX_ROW_BYTES {
-            return Err(located(&too_long));
+            return Err(self.too_long());
         }
-        Ok(is_row.then_some(row))
+        Ok(is_row)
+    }
+
+    fn too_long(&self) -> Error {
+        self.at_line(&format!(
+            "a row of more than {MAX_ROW_BYTES} bytes; give one pair a line and close every quote"
+        ))
+    }
+
+    fn at_line(&self, what: &str) -> Error {
+        Error::Data(format!("{}: line {}: {what}", self.path.display(), self.line))
     }
 }
 
@@ -126,6 +238,8 @@ struct Guard<R> {
     n_given: u64,
     /// The bytes given last.
     given: Vec<u8>,
+    /// Whether those were fewer than asked for: whoever writes the rows may wait for answers.
+    is_waiting: bool,
     /// Where the row at hand begins.
     row_start: u64,
     /// Whether only line ends came since the row before.
@@ -164,6 +278,7 @@ impl<R: Read> Read for Guard<R> {
         }
         let n = self.input.read(buf)?;
         self.n_given += n as u64;
+        self.is_waiting = n < buf.len();
         self.skip_ends(&buf[..n]);
         self.given.clear();
         self.given.extend_from_slice(&buf[..n]);

@@ -6,7 +6,7 @@ mod cli_common;
 use cli_common::{Bench, data, is_slow_asked_for, needle};
 use pvmap::geometry::Frame;
 use pvmap::query::exact::{Exact, ExactOptions};
-use pvmap::query::{Map, Place, Snap, SurfelSet};
+use pvmap::query::{Map, Place, QueryError, Snap, SurfelSet};
 use pvmap::render::{
     Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Size, Source, Style, VIOLET, Values,
     View, ramp, render, srgb,
@@ -101,7 +101,7 @@ fn asked_of_the_points_each_surfel_has_the_verdict_of_its_nearest() {
         let exact = Exact::new(octree, ExactOptions::usual(map).unwrap());
         let at = map.locate(&place(EYE), Snap::default()).unwrap();
         let eye = exact.nearest(&place(EYE)).unwrap().point;
-        let found = exact.visible_from(map, &eye, &at, &|_| true).unwrap().unwrap();
+        let found = exact.visible_from(map, &eye, &at, &|_| true).unwrap();
         let frame = &map.view().frame().frame;
         let mut ids = Vec::new();
         for id in 0..map.view().summary().n_surfels {
@@ -119,7 +119,8 @@ fn asked_of_the_points_each_surfel_has_the_verdict_of_its_nearest() {
         let n_surfels = map.view().summary().n_surfels;
         let n_other = (0..n_surfels).filter(|&id| found.contains(id) != by_leaves.contains(id));
         assert!((1..n_surfels as usize / 8).contains(&n_other.count()));
-        assert_eq!(exact.visible_from(map, &eye, &at, &|_| false), Ok(None));
+        let stopped = exact.visible_from(map, &eye, &at, &|_| false);
+        assert_eq!(stopped, Err(QueryError::Stopped));
     });
 }
 
@@ -261,7 +262,7 @@ fn shadows_are_where_they_should_be(bench: &Bench) {
                 false => map.visible_from(&at).unwrap().surfels,
                 true => {
                     let point = exact.nearest(eye).unwrap().point;
-                    exact.visible_from(map, &point, &at, &|_| true).unwrap().unwrap()
+                    exact.visible_from(map, &point, &at, &|_| true).unwrap()
                 }
             };
             let is_seen = |id: u32| seen.contains(id);

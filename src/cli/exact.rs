@@ -83,13 +83,12 @@ impl Points {
     pub(super) fn named(&self, map: &Path, e: QueryError) -> Error {
         match e {
             QueryError::Octree(e) => Error::artifact(&self.path, e),
-            QueryError::Format(e) => Error::artifact(map, e),
             QueryError::OtherOctree => Error::Data(format!(
                 "{}: was not built from the points of {}; give the octree it was built from",
                 map.display(),
                 self.path.display()
             )),
-            e => Error::Query(e),
+            e => Error::of_query(map, e),
         }
     }
 }

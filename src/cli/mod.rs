@@ -146,7 +146,7 @@ fn run(command: Command, context: &Context) -> Outcome {
     match command {
         Command::Ingest(args) => ingest::run(&args, context),
         Command::Build(args) => build::run(&args, context),
-        Command::Query(args) => query::run(&args),
+        Command::Query(args) => query::run(&args, context),
         Command::Render(args) => render::run(&args, context),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args, context),

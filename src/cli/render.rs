@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::geometry::Frame;
-use pvmap::query::{Map, QueryError};
+use pvmap::query::Map;
 use pvmap::render::{
     Camera, Clipped, ColorBy, MAX_SIDE_PX, MapSplats, OctreeSplats, Paint, Picture, RenderError,
     Source, Style, Values, held_bytes, render,
@@ -114,7 +114,7 @@ fn of_octree(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Resul
 }
 
 fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<Picture, Error> {
-    let map = Map::open(bytes).map_err(|e| of_query(path, e))?;
+    let map = Map::open(bytes).map_err(|e| Error::of_query(path, e))?;
     let view = map.view();
     let points = points_of(args)?;
     let octree = points.as_ref().map(Points::view).transpose()?;
@@ -133,7 +133,7 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     let color_by = colors_of(args, &map, path, context)?;
     let of_eye = |e| match &points {
         Some(points) => points.named(path, e),
-        None => of_query(path, e),
+        None => Error::of_query(path, e),
     };
     let eye = match args.visible_from {
         Some(place) => Some(eye::look(args, place, &map, octree.as_ref(), context, of_eye)?),
@@ -194,7 +194,8 @@ fn colors_of(args: &Args, map: &Map<'_>, path: &Path, context: &Context) -> Resu
         ColorName::Bin => return Ok(ColorBy::Bin),
         ColorName::Level => values::levels(view, path)?,
         ColorName::SeesCount => {
-            let counts = map.sees_counts().map_err(|e| of_query(path, e))?;
+            let counts =
+                pvmap::sees_counts(map, &context.progress).map_err(|e| Error::of_query(path, e))?;
             Values::new(counts.into_iter().map(|n| n as f32).collect())
         }
         ColorName::Scalar => {
@@ -248,12 +249,5 @@ fn named(map: &Path, drawn: &Path, e: RenderError) -> Error {
         RenderError::Write(e) => StoreError::io(drawn, "write", e).into(),
         RenderError::Stopped => StoreError::Interrupted.into(),
         e => Error::Usage(e.to_string()),
-    }
-}
-
-fn of_query(path: &Path, e: QueryError) -> Error {
-    match e {
-        QueryError::Format(e) => Error::artifact(path, e),
-        e => Error::Query(e),
     }
 }

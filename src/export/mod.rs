@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::{BySource, temporary_bytes};
-use pvmap_query::{Map, QueryError, Snap};
+use pvmap_query::{Map, Snap};
 use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch, memory};
 use pvmap_vmap::octree::{FILE_NAME, Point};
@@ -68,7 +68,7 @@ pub fn export_points(
     let points = request.octree.join(FILE_NAME);
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
-    let map = Map::open(&map_bytes).map_err(|e| of_map(&request.map, e))?;
+    let map = Map::open(&map_bytes).map_err(|e| Error::of_query(&request.map, e))?;
     require_pair(&request.map, map.view(), &request.octree, &octree)?;
     check_name(request, &octree)?;
     let done = limits.run(|| run(request, &map, &octree, limits, watch))?;
@@ -76,14 +76,6 @@ pub fn export_points(
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
     })
-}
-
-/// Says which map an error is about, where it is about the map.
-fn of_map(path: &Path, e: impl Into<QueryError>) -> Error {
-    match e.into() {
-        QueryError::Format(e) => Error::artifact(path, e),
-        e => Error::Query(e),
-    }
 }
 
 /// Refuses an output that would replace a scan.
@@ -117,16 +109,16 @@ fn run(
     require_disk(request, octree, output.estimate_bytes(octree, &names), memory_bytes, watch)?;
     let located: Result<Vec<_>, _> =
         request.fields.iter().map(|f| f.locate(map, request.snap)).collect();
-    let located = located.map_err(|e| of_map(&request.map, e))?;
-    let values =
-        Values::of(&request.fields, &located, map, watch).map_err(|e| of_map(&request.map, e))?;
+    let located = located.map_err(|e| Error::of_query(&request.map, e))?;
+    let values = Values::of(&request.fields, &located, map, watch)
+        .map_err(|e| Error::of_query(&request.map, e))?;
     let folder = folder_of(&request.output);
     let tagger = || tagger(&request.map, map.view());
     let all = BySource::gather::<Error, _>(octree, folder, memory_bytes, tagger, watch)?;
     let spilled_bytes = all.spilled_bytes();
     let mut writer = output.start(octree, &names, all.seen(), watch)?;
     all.each(|batch, surfels| {
-        let columns = values.columns(surfels).map_err(|e| of_map(&request.map, e))?;
+        let columns = values.columns(surfels).map_err(|e| Error::artifact(&request.map, e))?;
         writer.write(batch, &columns)
     })?;
     writer.finish()?;

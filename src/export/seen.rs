@@ -50,7 +50,7 @@ pub(super) fn look(
     watch: &dyn Watch,
 ) -> Result<Found, QueryError> {
     let n_surfels = map.view().summary().n_surfels;
-    if !wanted.eyes.is_empty() || wanted.counts {
+    if !wanted.eyes.is_empty() {
         watch.stage("links", None, "links");
     }
     let of_eye = |eye: &Located| {
@@ -61,6 +61,6 @@ pub(super) fn look(
     };
     Ok(Found {
         by_eye: wanted.eyes.iter().map(of_eye).collect::<Result<_, _>>()?,
-        counts: if wanted.counts { map.sees_counts()? } else { Vec::new() },
+        counts: if wanted.counts { crate::sees_counts(map, watch)? } else { Vec::new() },
     })
 }

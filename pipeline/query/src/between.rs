@@ -42,7 +42,7 @@ impl Walk<'_, '_> {
     /// Walks the whole tree.
     pub(crate) fn run<T: Tally>(&self) -> Result<T, FormatError> {
         let mut found = T::default();
-        let mut lookup = Lookup::new(self.map.view(), &self.map.frames);
+        let mut lookup = Lookup::new(self.map);
         if let Some(root) = self.map.root()? {
             self.visit(0, root, 0, &mut lookup, &mut found)?;
         }
@@ -78,7 +78,7 @@ impl Walk<'_, '_> {
         let children: Vec<(u32, Node)> = self.map.children(id, node).collect::<Result<_, _>>()?;
         let walked = children.into_par_iter().map(|(child_id, child)| {
             let mut found = T::default();
-            let mut lookup = Lookup::new(self.map.view(), &self.map.frames);
+            let mut lookup = Lookup::new(self.map);
             self.visit(child_id, child, n_covered, &mut lookup, &mut found).map(|()| found)
         });
         for later in walked.collect::<Vec<_>>() {

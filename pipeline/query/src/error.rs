@@ -85,6 +85,9 @@ pub enum QueryError {
     /// The octree cannot be read.
     #[error(transparent)]
     Octree(FormatError),
+    /// Whoever asked has heard enough.
+    #[error("stopped before there was an answer")]
+    Stopped,
 }
 
 /// Whom an error concerns.
@@ -98,6 +101,8 @@ pub enum ErrorKind {
     Map,
     /// The octree, or that it is not the map's.
     Octree,
+    /// Nobody: the question was withdrawn.
+    Stopped,
 }
 
 impl QueryError {
@@ -117,6 +122,7 @@ impl QueryError {
             | QueryError::NoSurface { .. }
             | QueryError::NothingThere(_) => ErrorKind::Place,
             QueryError::Empty | QueryError::Format(_) => ErrorKind::Map,
+            QueryError::Stopped => ErrorKind::Stopped,
         }
     }
 }

@@ -6,6 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use pvmap_vmap::links::LinkLists;
 use pvmap_vmap::{FormatError, MapView};
 
+use crate::adjacency::Adjacency;
+use crate::map::Map;
+
 /// Link frames kept. One of pvmap's own takes some 50 kB decoded, so all take some 50 MB. Of the
 /// largest frames that [F-18] allows one takes 0.2 MB and all take 200 MB.
 const N_SLOTS: usize = 1024;
@@ -61,39 +64,65 @@ impl LinkFrames {
 pub(crate) struct Lookup<'m, 'a> {
     view: &'m MapView<'a>,
     frames: &'m LinkFrames,
+    /// All links, where they are in memory.
+    all: Option<&'m Adjacency>,
     frame: Option<Arc<LinkFrame>>,
 }
 
 impl<'m, 'a> Lookup<'m, 'a> {
-    pub(crate) fn new(view: &'m MapView<'a>, frames: &'m LinkFrames) -> Lookup<'m, 'a> {
-        Lookup { view, frames, frame: None }
+    pub(crate) fn new(map: &'m Map<'a>) -> Lookup<'m, 'a> {
+        let (view, frames, all) = (map.view(), &map.frames, map.kept().map(|kept| &kept.adjacency));
+        Lookup { view, frames, all, frame: None }
+    }
+
+    /// Gives the parent of a node.
+    #[inline]
+    pub(crate) fn parent(&self, id: u32) -> Result<u32, FormatError> {
+        match self.all.and_then(|all| all.parent(id)) {
+            Some(parent) => Ok(parent),
+            None => self.view.parent(id),
+        }
     }
 
     /// Says whether (a, b), a < b, is a link.
     pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
-        let here = |f: &Arc<LinkFrame>| f.first <= (a, b) && (a, b) <= f.last;
-        if !self.frame.as_ref().is_some_and(here) {
-            let Some(index) = self.view.find_link_block(a, b)? else { return Ok(false) };
+        if let Some(all) = self.all {
+            return Ok(all.partners_of(a).binary_search(&b).is_ok());
+        }
+        if !self.is_at((a, b)) {
+            let index = self.view.link_block_from(a, b)?;
+            if index == self.view.n_link_blocks() || self.view.first_link(index)? > (a, b) {
+                return Ok(false);
+            }
             self.frame = Some(self.frames.get(self.view, index)?);
         }
         Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
     }
+
     /// Finds the least partner of `a` that is `from` or later, reading the one frame it is in.
     pub(crate) fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
-        let here = |f: &Arc<LinkFrame>| f.first <= (a, from) && (a, from) <= f.last;
-        if !self.frame.as_ref().is_some_and(here) {
+        let least =
+            |partners: &[u32]| partners.get(partners.partition_point(|&b| b < from)).copied();
+        if let Some(all) = self.all {
+            return Ok(least(all.partners_of(a)));
+        }
+        if !self.is_at((a, from)) {
             let index = self.view.link_block_from(a, from)?;
             if index == self.view.n_link_blocks() {
                 return Ok(None);
             }
-            let first = self.view.link_block(index)?.first;
+            let first = self.view.first_link(index)?;
             if first >= (a, from) {
                 // The index says it all.
                 return Ok((first.0 == a).then_some(first.1));
             }
             self.frame = Some(self.frames.get(self.view, index)?);
         }
-        let partners = self.frame.as_ref().map_or(&[][..], |f| f.lists.partners_of(a));
-        Ok(partners.get(partners.partition_point(|&b| b < from)).copied())
+        Ok(self.frame.as_ref().and_then(|f| least(f.lists.partners_of(a))))
+    }
+
+    /// Says whether a link would be in the frame at hand.
+    fn is_at(&self, link: (u32, u32)) -> bool {
+        self.frame.as_ref().is_some_and(|f| f.first <= link && link <= f.last)
     }
 }

@@ -155,12 +155,15 @@ impl Map<'_> {
 
     /// Finds the best leaf among those whose closed cell holds the place.
     fn holding(&self, target: &Target) -> Result<Option<Found>, FormatError> {
-        let Some(near) = self.near(target.g) else {
+        let Some(kept) = self.kept() else {
             return self.best(target, |node| holds(&node.cell(), target.g).then_some(0));
         };
-        let held = near.iter().filter(|leaf| holds(&leaf.cell, target.g));
-        let found = held.map(|leaf| self.fit(target, leaf.node, leaf.id, &leaf.surfel));
-        Ok(found.min_by_key(|found| found.fit))
+        let mut best: Option<Found> = None;
+        for (surfel, node) in kept.leaves.holding(target.g) {
+            let found = self.fit(target, node, surfel, &self.surfel(surfel)?);
+            best = best.into_iter().chain([found]).min_by_key(|found| found.fit);
+        }
+        Ok(best)
     }
 
     /// Finds the best of all leaves.

@@ -1,5 +1,7 @@
 //! The map that is asked, and the checked way to its nodes and surfels.
 
+use std::sync::OnceLock;
+
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Box3, grid, morton};
 use pvmap_vmap::map::profile_of;
@@ -9,8 +11,8 @@ use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
 use crate::error::QueryError;
 use crate::frames::LinkFrames;
+use crate::kept::Kept;
 use crate::locate::Located;
-use crate::near::Spots;
 
 /// The most nodes on the way from the root to a leaf: the root, its bin, levels 1…21, a quadrant.
 pub(crate) const MAX_PATH: usize = 24;
@@ -25,7 +27,7 @@ pub struct Map<'a> {
     profile: Profile,
     from_given_pairs: bool,
     pub(crate) frames: LinkFrames,
-    pub(crate) spots: Spots,
+    pub(crate) kept: OnceLock<Kept>,
 }
 
 impl<'a> Map<'a> {
@@ -41,8 +43,8 @@ impl<'a> Map<'a> {
             None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
         };
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
-        let (frames, spots) = (LinkFrames::default(), Spots::new(view.summary().n_surfels));
-        Ok(Map { view, profile, from_given_pairs, frames, spots })
+        let (frames, kept) = (LinkFrames::default(), OnceLock::new());
+        Ok(Map { view, profile, from_given_pairs, frames, kept })
     }
 
     /// Gives the file behind the answers.
@@ -118,12 +120,24 @@ impl<'a> Map<'a> {
         })
     }
 
+    /// Checks that a located place is of this map.
+    #[inline]
+    pub(crate) fn check_leaf(&self, place: &Located) -> Result<(), FormatError> {
+        let is_leaf = match self.kept() {
+            Some(kept) => kept.leaves.node_of(place.surfel) == Some(place.node),
+            None => {
+                let leaf = self.view.node(place.node)?;
+                leaf.is_leaf() && leaf.first_surfel == place.surfel
+            }
+        };
+        let what = "is not the leaf of that surfel";
+        is_leaf.then_some(()).ok_or_else(|| self.broken_node(place.node, what))
+    }
+
     /// Reads the leaf and the surfel of a located place, checking that they are of this map.
     pub(crate) fn leaf_of(&self, place: &Located) -> Result<(Node, Surfel), FormatError> {
+        self.check_leaf(place)?;
         let leaf = self.view.node(place.node)?;
-        if !leaf.is_leaf() || leaf.first_surfel != place.surfel {
-            return Err(self.broken_node(place.node, "is not the leaf of that surfel"));
-        }
         Ok((leaf, self.surfel_of(place.node, &leaf)?))
     }
 

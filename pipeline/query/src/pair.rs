@@ -1,6 +1,5 @@
 //! Whether two places see each other, and by which link. Source: DESIGN.md [V-5], [V-6].
 
-use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::Nodes;
 use pvmap_vmap::{FormatError, Node};
 
@@ -34,15 +33,24 @@ impl Map<'_> {
     ///
     /// # Errors
     /// Where what is read of the map is damaged, or `a` or `b` was located on another map and
-    /// this one has no such node.
+    /// this one has no such leaf.
     pub fn pair(&self, a: &Located, b: &Located) -> Result<PairAnswer, QueryError> {
+        self.pair_with(&mut Lookup::new(self), a, b)
+    }
+
+    /// Does what [`Map::pair`] does; the lookup may have the right frame at hand.
+    pub(crate) fn pair_with(
+        &self,
+        lookup: &mut Lookup<'_, '_>,
+        a: &Located,
+        b: &Located,
+    ) -> Result<PairAnswer, QueryError> {
+        self.check_leaf(a)?;
+        self.check_leaf(b)?;
         if a.node == b.node {
             return Ok(PairAnswer { visible: true, link: None });
         }
-        let over = self.links_over(a, b)?;
-        let mut lookup = Lookup::new(self.view(), &self.frames);
-        for rank in 0..over.len() {
-            let link = over.nth(rank);
+        for link in self.links_over(lookup, a, b)?.iter() {
             if lookup.contains(link)? {
                 return self.seen_by(a, b, link);
             }
@@ -66,41 +74,38 @@ impl Map<'_> {
     }
 
     /// Lists the links that can cover two leaves, in either order.
-    pub(crate) fn links_over(&self, a: &Located, b: &Located) -> Result<LinksOver, FormatError> {
+    fn links_over(
+        &self,
+        lookup: &Lookup<'_, '_>,
+        a: &Located,
+        b: &Located,
+    ) -> Result<LinksOver, FormatError> {
         let (low, high) = (a.node.min(b.node), a.node.max(b.node));
-        Ok(LinksOver {
-            sides: [self.side_before(low, high)?, self.side_after(high, low)?],
-            is_given: self.from_given_pairs(),
-        })
-    }
-
-    /// Lists the nodes over leaf a that end before b.
-    fn side_before(&self, a: u32, b: u32) -> Result<Side, FormatError> {
-        let mut side = Side::default();
-        let mut id = a;
-        loop {
-            let node = self.view().node(id)?;
-            if node.end > b {
-                return Ok(side);
-            }
-            if node.parent == NO_PARENT || !side.push(id) {
-                return Err(self.broken_node(id, "has no way up to the root"));
-            }
-            id = node.parent;
+        // Ids rise from a node to those below it and on to those beside it, so the first node over
+        // the later leaf that is not after the earlier one is over both.
+        let (after, ancestor) = self.climb(lookup, high, low)?;
+        let (before, met) = self.climb(lookup, low, ancestor)?;
+        if met != ancestor {
+            return Err(self.broken_node(low, "has no way up to the root"));
         }
+        Ok(LinksOver { sides: [before, after], is_given: self.from_given_pairs() })
     }
 
-    /// Lists the nodes over leaf b that start after a.
-    fn side_after(&self, b: u32, a: u32) -> Result<Side, FormatError> {
+    /// Lists the nodes from `id` up that are after `bound`; gives the first that is not, too.
+    fn climb(
+        &self,
+        lookup: &Lookup<'_, '_>,
+        mut id: u32,
+        bound: u32,
+    ) -> Result<(Side, u32), FormatError> {
         let mut side = Side::default();
-        let mut id = b;
-        while id > a {
+        while id > bound {
             if !side.push(id) {
                 return Err(self.broken_node(id, "has no way up to the root"));
             }
-            id = self.view().node(id)?.parent;
+            id = lookup.parent(id)?;
         }
-        Ok(side)
+        Ok((side, id))
     }
 }
 
@@ -122,15 +127,13 @@ impl Side {
         room
     }
 
-    /// Gives the node so many steps below the topmost; from the leaf on the leaf.
+    /// Gives the node so many steps below the topmost; from the leaf on the leaf. Of one at least.
     fn nth_down(&self, steps: usize) -> u32 {
         self.up[self.len - 1 - steps.min(self.len - 1)]
     }
 }
 
-/// The links that can cover two different leaves, the highest first.
-///
-/// All nodes on the one side come before all on the other, so links that go down rise.
+/// The links that can cover two different leaves.
 #[derive(Debug)]
 pub(crate) struct LinksOver {
     sides: [Side; 2],
@@ -138,21 +141,19 @@ pub(crate) struct LinksOver {
 }
 
 impl LinksOver {
-    /// Counts them.
-    pub(crate) fn len(&self) -> usize {
+    /// Walks them, the highest first: their lists are short and many questions need them.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let [a, b] = &self.sides;
-        if self.is_given { a.len * b.len } else { a.len.max(b.len) }
-    }
-
-    /// Gives the link of a rank below [`LinksOver::len`].
-    pub(crate) fn nth(&self, rank: usize) -> (u32, u32) {
-        let [a, b] = &self.sides;
-        if self.is_given {
+        let n = match (a.len.min(b.len), self.is_given) {
+            (0, _) => 0,
+            (_, true) => a.len * b.len,
+            (_, false) => a.len.max(b.len),
+        };
+        (0..n).map(move |rank| match self.is_given {
             // Any two nodes may have been given: no telling which on one side meets which.
-            (a.nth_down(rank / b.len), b.nth_down(rank % b.len))
-        } else {
+            true => (a.nth_down(rank / b.len), b.nth_down(rank % b.len)),
             // From two siblings down, both sides at once; a leaf waits for the other.
-            (a.nth_down(rank), b.nth_down(rank))
-        }
+            false => (a.nth_down(rank), b.nth_down(rank)),
+        })
     }
 }

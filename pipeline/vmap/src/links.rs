@@ -146,12 +146,15 @@ impl LinkLists {
         }
     }
 
+    /// Walks the lists: each node with its partners, both rising.
+    pub fn lists(&self) -> impl Iterator<Item = (u32, &[u32])> + '_ {
+        let ends = self.starts.windows(2).map(|w| w[0] as usize..w[1] as usize);
+        self.nodes.iter().zip(ends).map(|(&a, partners)| (a, &self.partners[partners]))
+    }
+
     /// Walks all links in rising order.
     pub fn iter(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        self.nodes.iter().enumerate().flat_map(move |(i, &a)| {
-            let partners = &self.partners[self.starts[i] as usize..self.starts[i + 1] as usize];
-            partners.iter().map(move |&b| (a, b))
-        })
+        self.lists().flat_map(|(a, partners)| partners.iter().map(move |&b| (a, b)))
     }
 
     /// Counts the links.

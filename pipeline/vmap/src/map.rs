@@ -2,6 +2,7 @@
 
 use pvmap_geometry::{Box3, morton};
 
+use crate::bytes::FieldReader;
 use crate::container::{Closing, Container, Kind, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
@@ -118,14 +119,12 @@ impl<'a> MapView<'a> {
         links::decode(&block, frame, self.links.offset_bytes.saturating_add(block.offset_bytes))
     }
 
-    /// Finds the frame whose range of links holds (a, b), if any.
+    /// Reads the first link of a frame, and nothing else of its row.
     ///
     /// # Errors
-    /// Where a touched block of the index is damaged.
-    pub fn find_link_block(&self, a: u32, b: u32) -> Result<Option<u64>, FormatError> {
-        let i = self.link_block_from(a, b)?;
-        let found = i < self.index.n_records && self.link_block(i)?.first <= (a, b);
-        Ok(found.then_some(i))
+    /// Where there is no such row or its block is damaged.
+    pub fn first_link(&self, i: u64) -> Result<(u32, u32), FormatError> {
+        self.link_at(i, LinkBlock::FIRST_AT)
     }
 
     /// Finds the first frame that ends with (a, b) or a later link; `n_link_blocks` where there is
@@ -137,13 +136,44 @@ impl<'a> MapView<'a> {
         let (mut low, mut high) = (0, self.index.n_records);
         while low < high {
             let middle = low + (high - low) / 2;
-            if self.link_block(middle)?.last < (a, b) {
+            if self.link_at(middle, LinkBlock::LAST_AT)? < (a, b) {
                 low = middle + 1;
             } else {
                 high = middle;
             }
         }
         Ok(low)
+    }
+
+    /// Reads one of the links that a row of the index names.
+    #[inline]
+    fn link_at(&self, i: u64, at_bytes: u64) -> Result<(u32, u32), FormatError> {
+        let at = i.saturating_mul(LinkBlock::BYTES as u64).saturating_add(at_bytes);
+        let mut r = FieldReader::new(self.file.read(&self.index, at, 8)?);
+        Ok((r.u32(), r.u32()))
+    }
+
+    /// Reads the parent of a node, and nothing else of its record; [`NO_PARENT`] of the root.
+    ///
+    /// # Errors
+    /// Where there is no such node, its block is damaged or its parent does not come before it.
+    #[inline]
+    pub fn parent(&self, id: u32) -> Result<u32, FormatError> {
+        let at = u64::from(id) * Node::BYTES as u64 + Node::PARENT_AT;
+        let parent = FieldReader::new(self.file.read(&self.nodes, at, 4)?).u32();
+        self.check_parent(id, parent)?;
+        Ok(parent)
+    }
+
+    /// Checks that all nodes but the root have a parent, and before them.
+    #[inline]
+    fn check_parent(&self, id: u32, parent: u32) -> Result<(), FormatError> {
+        let fits = if id == 0 { parent == NO_PARENT } else { parent < id };
+        if fits {
+            return Ok(());
+        }
+        let what = format!("node {id} has an impossible parent");
+        Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what))
     }
 
     /// Checks every byte and every rule of FORMAT.md.
@@ -363,11 +393,7 @@ impl Nodes for MapView<'_> {
             let what = format!("node {id} has an impossible subtree");
             return Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
         }
-        if node.parent != NO_PARENT && node.parent >= id || (node.parent == NO_PARENT) != (id == 0)
-        {
-            let what = format!("node {id} has an impossible parent");
-            return Err(self.nodes.broken(u64::from(id) * Node::BYTES as u64, what));
-        }
+        self.check_parent(id, node.parent)?;
         Ok(node)
     }
 }

@@ -76,6 +76,9 @@ pub struct Node {
 }
 
 impl Node {
+    /// Where in its record the parent stands.
+    pub(crate) const PARENT_AT: u64 = 0;
+
     /// Gives its cell as the closed cube [g0, g0 + side].
     #[inline]
     pub fn cell(&self) -> Box3 {
@@ -300,6 +303,13 @@ pub struct LinkBlock {
     pub n_links: u32,
     /// CRC-32 of the compressed bytes.
     pub crc: u32,
+}
+
+impl LinkBlock {
+    /// Where in its record the first link stands.
+    pub(crate) const FIRST_AT: u64 = 0;
+    /// Where in its record the last link stands.
+    pub(crate) const LAST_AT: u64 = 8;
 }
 
 impl Record for LinkBlock {

@@ -3,18 +3,19 @@
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::mpsc::sync_channel;
 
 use csv::StringRecord;
 use pvmap::Error;
-use pvmap::rows::Rows;
+use pvmap::rows::{Row, RowBlock, Rows};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::Outcome;
 
 /// Rows answered at once, and their bytes where rows are long.
-const CHUNK_ROWS: usize = 1 << 16;
-const CHUNK_BYTES: usize = 16 << 20;
+pub(super) const BLOCK_ROWS: usize = 1 << 16;
+const BLOCK_BYTES: usize = 16 << 20;
 /// Answers that a thread writes at a time.
 const PIECE: usize = 1 << 10;
 
@@ -38,7 +39,7 @@ pub(super) trait Batch: Sync {
     const HEADER: &'static str;
 
     /// Answers some rows, in order.
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>>;
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>>;
 
     /// Writes an answer as cells, with a comma behind each.
     fn write(&self, answer: &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()>;
@@ -58,54 +59,54 @@ pub(super) fn open<T>(
     Ok((rows, columns))
 }
 
-/// Answers a table. Some rows are read while those before them are answered.
+/// Answers a table. Some rows are read while those before them are answered, by a thread of their
+/// own: one of the pool would, waiting for rows, leave answers unwritten.
 pub(super) fn answer<B: Batch>(mut rows: Rows, batch: &B, as_lines: bool) -> Outcome {
     let mut out = super::stdout();
     if !as_lines {
         writeln!(out, "{}", B::HEADER)?;
     }
-    let (mut chunk, mut ended) = next_chunk(&mut rows);
-    loop {
-        let is_last = ended.is_some();
-        let (written, next) = rayon::join(
-            || write_chunk(batch, &chunk, as_lines, &mut out),
-            || if is_last { Default::default() } else { next_chunk(&mut rows) },
-        );
-        written?;
-        // The rows before one that cannot be read have their answers.
-        if let Some(ended) = ended {
-            out.flush()?;
-            return Ok(ended?);
+    std::thread::scope(|scope| {
+        let (sender, blocks) = sync_channel(1);
+        // A receiver that is gone has nobody to write answers to.
+        scope.spawn(move || while sender.send(next_block(&mut rows)).is_ok() {});
+        for (block, ended) in blocks {
+            write_block(batch, &block, as_lines, &mut out)?;
+            // The rows before one that cannot be read have their answers.
+            match ended {
+                Some(ended) => {
+                    out.flush()?;
+                    return Ok(ended?);
+                }
+                // Whoever writes rows one by one waits for the answer of each.
+                None if block.len() < BLOCK_ROWS => out.flush()?,
+                None => {}
+            }
         }
-        (chunk, ended) = next;
-    }
+        Ok(ExitCode::SUCCESS)
+    })
 }
 
 /// How a table ended: well, or with a row that cannot be read.
 type Ended = Option<Result<ExitCode, Error>>;
 
 /// Reads some rows; at the end of the table also how it ended.
-fn next_chunk(rows: &mut Rows) -> (Vec<StringRecord>, Ended) {
-    let (mut chunk, mut n_bytes) = (Vec::new(), 0);
-    while chunk.len() < CHUNK_ROWS && n_bytes < CHUNK_BYTES {
-        match rows.read() {
-            Ok(Some(row)) => {
-                n_bytes += row.as_slice().len();
-                chunk.push(row);
-            }
-            Ok(None) => return (chunk, Some(Ok(ExitCode::SUCCESS))),
-            Err(e) => return (chunk, Some(Err(e))),
-        }
-    }
-    (chunk, None)
+fn next_block(rows: &mut Rows) -> (RowBlock, Ended) {
+    let mut block = RowBlock::default();
+    let ended = match rows.read_block(BLOCK_ROWS, BLOCK_BYTES, &mut block) {
+        Ok(true) => None,
+        Ok(false) => Some(Ok(ExitCode::SUCCESS)),
+        Err(e) => Some(Err(e)),
+    };
+    (block, ended)
 }
 
 /// Lines of answers, and what is wrong with the map where they end early.
 type Piece = (Vec<u8>, Option<Error>);
 
-fn write_chunk<B: Batch>(
+fn write_block<B: Batch>(
     batch: &B,
-    rows: &[StringRecord],
+    rows: &RowBlock,
     as_lines: bool,
     out: &mut impl Write,
 ) -> anyhow::Result<()> {
@@ -150,10 +151,10 @@ fn write_piece<B: Batch>(
 
 /// Answers each row by itself.
 pub(super) fn each<A: Send>(
-    rows: &[StringRecord],
-    answer: impl Fn(&StringRecord) -> Result<A, RowError> + Sync + Send,
+    rows: &RowBlock,
+    answer: impl Fn(Row<'_>) -> Result<A, RowError> + Sync + Send,
 ) -> Vec<Result<A, RowError>> {
-    rows.par_iter().map(answer).collect()
+    (0..rows.len()).into_par_iter().map(|i| answer(rows.row(i))).collect()
 }
 
 /// The names of a table's columns.
@@ -164,7 +165,9 @@ pub(super) type Columns<const N: usize> = [(usize, &'static str); N];
 
 impl Header<'_> {
     fn find(&self, name: &str) -> Result<Option<usize>, String> {
-        let mut found = self.0.iter().enumerate().filter(|(_, h)| *h == name);
+        // PDAL writes X, CloudCompare //X in front.
+        let is_it = |h: &str| h.trim_start_matches("//").eq_ignore_ascii_case(name);
+        let mut found = self.0.iter().enumerate().filter(|(_, h)| is_it(h));
         match (found.next(), found.next()) {
             (_, Some(_)) => Err(format!("column {name} stands twice in the header row")),
             (first, None) => Ok(first.map(|(i, _)| i)),
@@ -202,24 +205,26 @@ impl Header<'_> {
 
 /// Reads numbers of a row.
 pub(super) fn numbers<const N: usize>(
-    row: &StringRecord,
+    row: Row<'_>,
     columns: &Columns<N>,
 ) -> Result<[f64; N], String> {
     let mut values = [0.0; N];
     for (value, &(i, name)) in values.iter_mut().zip(columns) {
-        let text = row.get(i).unwrap_or_default().trim();
-        let refuse = |_| format!("{name} is {text:?}, expected a number");
-        *value = text.parse::<f64>().map_err(refuse)?;
+        let cell = row.get(i).unwrap_or_default().trim_ascii();
+        let number = std::str::from_utf8(cell).ok().and_then(|text| text.parse::<f64>().ok());
+        *value = number.ok_or_else(|| {
+            format!("{name} is {:?}, expected a number", String::from_utf8_lossy(cell))
+        })?;
     }
     Ok(values)
 }
 
 /// Reads numbers of a row that may leave all of them out.
 pub(super) fn numbers_if_any<const N: usize>(
-    row: &StringRecord,
+    row: Row<'_>,
     columns: &Option<Columns<N>>,
 ) -> Result<Option<[f64; N]>, String> {
-    let is_there = |&(i, _): &(usize, _)| !row.get(i).unwrap_or_default().trim().is_empty();
+    let is_there = |&(i, _): &(usize, _)| !row.get(i).unwrap_or_default().trim_ascii().is_empty();
     match columns {
         Some(columns) if columns.iter().any(is_there) => numbers(row, columns).map(Some),
         _ => Ok(None),

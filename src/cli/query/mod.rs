@@ -18,7 +18,7 @@ use pvmap::Error;
 use pvmap::query::{Located, Map, Place, QueryError, Snap};
 
 use self::batch::RowError;
-use super::{Outcome, map_file, parse_point, print_json};
+use super::{Context, Outcome, map_file, parse_point, print_json};
 
 /// Ask a map
 #[derive(Debug, clap::Args)]
@@ -53,26 +53,18 @@ enum Question {
     Shadow(shadow::Args),
 }
 
-pub(super) fn run(args: &Args) -> Outcome {
+pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let (path, bytes) = map_file(&args.map)?;
-    let map = Map::open(&bytes).map_err(|e| named(&path, e))?;
+    let map = Map::open(&bytes).map_err(|e| Error::of_query(&path, e))?;
     let asked = Asked { map: &map, path: &path };
     match &args.question {
         Question::Pair(args) => pair::run(&asked, args),
         Question::Pairs(args) => pairs::run(&asked, args),
         Question::VisibleFrom(args) => visible_from::run(&asked, args),
-        Question::SeesCount(args) => sees_count::run(&asked, args),
+        Question::SeesCount(args) => sees_count::run(&asked, args, context),
         Question::Region(args) => region::run(&asked, args),
         Question::Ray(args) => ray::run(&asked, args),
         Question::Shadow(args) => shadow::run(&asked, args),
-    }
-}
-
-/// Says which map an error is about, where it is about the map.
-fn named(path: &Path, e: QueryError) -> Error {
-    match e {
-        QueryError::Format(e) => Error::artifact(path, e),
-        e => Error::Query(e),
     }
 }
 
@@ -93,7 +85,7 @@ struct Asked<'m, 'a> {
 impl Asked<'_, '_> {
     /// Says which map an error is about.
     fn named<T>(&self, answer: Result<T, QueryError>) -> Result<T, Error> {
-        answer.map_err(|e| named(self.path, e))
+        answer.map_err(|e| Error::of_query(self.path, e))
     }
 
     /// Says whether an error is the row's or the map's.

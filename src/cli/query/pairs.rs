@@ -2,11 +2,12 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use csv::StringRecord;
 use pvmap::query::exact::{Disagreement, Exact};
 use pvmap::query::{ErrorKind, Located, PairAnswer, Place, QueryError, Snap};
+use pvmap::rows::{Row, RowBlock};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -62,7 +63,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             PlaceColumns::find(header, ["x2", "y2", "z2"], ["nx2", "ny2", "nz2"], EXPECTED)?,
         ])
     })?;
-    let pairs = Pairs { asked, columns, snap: snap_of(args.snap) };
+    let pairs = Pairs { asked, columns, snap: snap_of(args.snap), is_kept: AtomicBool::new(false) };
     if !args.points.exact {
         return batch::answer(rows, &pairs, args.json);
     }
@@ -108,7 +109,7 @@ impl PlaceColumns {
     }
 
     /// Reads the place of a row. Empty cells of a normal: this row does not choose a side.
-    pub(super) fn read(&self, row: &StringRecord) -> Result<Place, String> {
+    pub(super) fn read(&self, row: Row<'_>) -> Result<Place, String> {
         let normal = numbers_if_any(row, &self.normal)?;
         Ok(place(numbers(row, &self.position)?, normal))
     }
@@ -118,6 +119,8 @@ struct Pairs<'q, 'm, 'a> {
     asked: &'q Asked<'m, 'a>,
     columns: [PlaceColumns; 2],
     snap: Snap,
+    /// Whether the map is in memory: then rows are answered in any order.
+    is_kept: AtomicBool,
 }
 
 impl Batch for Pairs<'_, '_, '_> {
@@ -125,21 +128,30 @@ impl Batch for Pairs<'_, '_, '_> {
 
     const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>> {
-        let Pairs { asked, columns, snap } = self;
-        let locate = |row: &StringRecord| -> Result<(Located, Located), RowError> {
-            let (a, b) = (columns[0].read(row)?, columns[1].read(row)?);
-            let located = |place| asked.of_row(asked.map.locate(place, *snap));
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>> {
+        let map = self.asked.map;
+        let locate = |row: Row<'_>| -> Result<(Located, Located), RowError> {
+            let (a, b) = (self.columns[0].read(row)?, self.columns[1].read(row)?);
+            let located = |place| self.asked.of_row(map.locate(place, self.snap));
             Ok((located(&a)?, located(&b)?))
         };
-        let located: Vec<Result<_, RowError>> = rows.par_iter().map(locate).collect();
+        // A damaged map is the error of the rows that meet the damage.
+        let keep = || rows.len() == batch::BLOCK_ROWS && map.keep().unwrap_or(false);
+        if self.is_kept.load(Ordering::Relaxed) || keep() {
+            self.is_kept.store(true, Ordering::Relaxed);
+            return batch::each(rows, |row| {
+                let (a, b) = locate(row)?;
+                Ok((a, b, self.asked.of_row(map.pair(&a, &b))?))
+            });
+        }
+        let located = batch::each(rows, locate);
         let questions: Vec<(Located, Located)> =
             located.iter().filter_map(|row| row.as_ref().ok().copied()).collect();
-        let mut answers = asked.map.pairs(&questions).into_iter();
+        let mut answers = map.pairs(&questions).into_iter();
         let answered = |row: Result<(Located, Located), RowError>| {
             let (a, b) = row?;
             let answer = answers.next().expect("one for each located row");
-            Ok((a, b, asked.of_row(answer)?))
+            Ok((a, b, self.asked.of_row(answer)?))
         };
         located.into_iter().map(answered).collect()
     }
@@ -163,7 +175,7 @@ struct ExactPairs<'q, 'm, 'a, 'v, 'o> {
 }
 
 impl ExactPairs<'_, '_, '_, '_, '_> {
-    fn ask_points(&self, row: &StringRecord) -> Result<bool, RowError> {
+    fn ask_points(&self, row: Row<'_>) -> Result<bool, RowError> {
         let Pairs { asked, columns, .. } = &self.pairs;
         let [a, b] = [columns[0].read(row)?, columns[1].read(row)?];
         let exact = &self.exact;
@@ -180,12 +192,12 @@ impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
 
     const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,exact,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Self::Answer, RowError>> {
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>> {
         let by_leaves = self.pairs.answers(rows);
         let both: Vec<Result<Self::Answer, RowError>> = by_leaves
             .into_par_iter()
-            .zip(rows)
-            .map(|(answer, row)| Ok((answer?, self.ask_points(row)?)))
+            .enumerate()
+            .map(|(i, answer)| Ok((answer?, self.ask_points(rows.row(i))?)))
             .collect();
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         for ((_, _, answer), exact) in both.iter().flatten() {

@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use csv::StringRecord;
 use pvmap::Error;
 use pvmap::query::{Located, Place, QueryError, RayAnswer};
+use pvmap::rows::RowBlock;
 use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers};
@@ -142,7 +142,7 @@ impl Batch for Rays<'_, '_, '_> {
 
     const HEADER: &'static str = "hit,surfel,distance,x,y,z,nx,ny,nz,from,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Shot, RowError>> {
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Shot, RowError>> {
         batch::each(rows, |row| {
             let (origin, direction) = (self.origin.read(row)?, numbers(row, &self.direction)?);
             self.asked.of_row(shoot(self.asked, self.args, &origin, direction))

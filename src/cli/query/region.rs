@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use csv::StringRecord;
 use pvmap::Error;
 use pvmap::query::{Ball, RegionAnswer, Sight};
+use pvmap::rows::RowBlock;
 use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers};
@@ -116,7 +116,7 @@ impl Batch for Regions<'_, '_, '_> {
 
     const HEADER: &'static str = "sees,fraction,surfels1,surfels2,points1,points2,links,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<RegionAnswer, RowError>> {
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<RegionAnswer, RowError>> {
         batch::each(rows, |row| {
             let [x1, y1, z1, r1, x2, y2, z2, r2] = numbers(row, &self.columns)?;
             let one = Ball { middle: [x1, y1, z1], radius: r1 };

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use serde_json::json;
 
-use super::{Asked, Outcome, stdout};
+use super::{Asked, Context, Outcome, stdout};
 
 /// How many others does every surfel see?
 #[derive(Debug, clap::Args)]
@@ -24,8 +24,8 @@ pub(super) struct Args {
     json: bool,
 }
 
-pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
-    let counts = asked.named(asked.map.sees_counts())?;
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args, context: &Context) -> Outcome {
+    let counts = asked.named(pvmap::sees_counts(asked.map, &context.progress))?;
     let mut out = stdout();
     if !args.json {
         writeln!(out, "surfel,x,y,z,sees")?;

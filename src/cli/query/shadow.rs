@@ -4,8 +4,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use csv::StringRecord;
 use pvmap::query::{Light, Located, Place, QueryError, ShadowAnswer, Sight};
+use pvmap::rows::RowBlock;
 use pvmap::{Error, class_points};
 use serde_json::{Value, json};
 
@@ -194,7 +194,7 @@ impl Batch for Shadows<'_, '_, '_> {
 
     const HEADER: &'static str = "light,share,surfel,distance,blocker,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Shaded, RowError>> {
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Shaded, RowError>> {
         batch::each(rows, |row| {
             let at = self.places.read(row)?;
             let own = numbers_if_any(row, &self.lights)?.map(Lamp::Place);

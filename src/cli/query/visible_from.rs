@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use csv::StringRecord;
 use pvmap::Error;
 use pvmap::query::{Located, Place, QueryError, Snap, VisibleSet};
+use pvmap::rows::RowBlock;
 use serde_json::{Value, json};
 
 use super::batch::{self, Batch, RowError};
@@ -126,7 +126,7 @@ impl Batch for Looks<'_, '_, '_> {
 
     const HEADER: &'static str = "surfel,distance,seen,points,ranges,error";
 
-    fn answers(&self, rows: &[StringRecord]) -> Vec<Result<Seen, RowError>> {
+    fn answers(&self, rows: &RowBlock) -> Vec<Result<Seen, RowError>> {
         batch::each(rows, |row| {
             let from = self.columns.read(row)?;
             self.asked.of_row(look(self.asked, &from, self.snap))

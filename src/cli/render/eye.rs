@@ -3,7 +3,7 @@
 use pvmap::query::exact::{Exact, ExactOptions};
 use pvmap::query::{Map, Place, QueryError, Snap, SurfelSet};
 use pvmap::vmap::OctreeView;
-use pvmap::{Error, StoreError, Watch};
+use pvmap::{Error, Watch};
 
 use super::Args;
 use crate::cli::Context;
@@ -43,8 +43,7 @@ pub(super) fn look(
                 watch.advance(n);
                 !watch.is_stopped()
             };
-            let seen = exact.visible_from(map, &eye, &at, &tell).map_err(&fail)?;
-            seen.ok_or(StoreError::Interrupted)?
+            exact.visible_from(map, &eye, &at, &tell).map_err(&fail)?
         }
     };
     context.progress.note(&format!(

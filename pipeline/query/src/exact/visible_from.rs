@@ -19,26 +19,27 @@ impl Exact<'_, '_> {
     /// finds it for the surfel's normal. So a surfel half in shadow is seen or not by its middle,
     /// as in the map, but what hides it are points and not discs that stand over thin limbs.
     ///
-    /// `tell` gets the number of surfels decided and says whether to go on; none where it said no.
-    /// Threads are those of the current rayon pool.
+    /// `tell` gets the number of surfels decided and says whether to go on. Threads are those of the current rayon pool.
     ///
     /// # Errors
-    /// Where the map was not made from this octree, or what is read of either is damaged.
+    /// Where the map was not made from this octree, what is read of either is damaged, or `tell` says
+    /// no.
     pub fn visible_from(
         &self,
         map: &Map<'_>,
         eye: &StoredPoint,
         own: &Located,
         tell: &(dyn Fn(u64) -> bool + Sync),
-    ) -> Result<Option<SurfelSet>, QueryError> {
+    ) -> Result<SurfelSet, QueryError> {
         self.require_map(map)?;
         let n_surfels = map.view().summary().n_surfels;
         let pieces: Vec<u32> = (0..n_surfels).step_by(PIECE_SURFELS as usize).collect();
         let decide = |first: u32| {
             let piece = first..n_surfels.min(first.saturating_add(PIECE_SURFELS));
             let n = u64::from(piece.end - piece.start);
+            // After a no every piece ends before it begins.
             if !tell(0) {
-                return Ok(None);
+                return Err(QueryError::Stopped);
             }
             let mut seen = Vec::new();
             for id in piece {
@@ -46,13 +47,10 @@ impl Exact<'_, '_> {
                     seen.push(id..id + 1);
                 }
             }
-            Ok(tell(n).then_some(seen))
+            if tell(n) { Ok(seen) } else { Err(QueryError::Stopped) }
         };
-        // After a no every piece ends before it begins.
-        let found: Result<Vec<Option<Vec<_>>>, QueryError> =
-            pieces.into_par_iter().map(decide).collect();
-        let all: Option<Vec<Vec<_>>> = found?.into_iter().collect();
-        Ok(all.map(|pieces| SurfelSet::of(pieces.into_iter().flatten().collect())))
+        let found: Result<Vec<_>, QueryError> = pieces.into_par_iter().map(decide).collect();
+        Ok(SurfelSet::of(found?.into_iter().flatten().collect()))
     }
 
     /// Finds the point that stands for a surfel.

@@ -19,6 +19,10 @@ fn ask(file: &[u8], seed: u64) -> Answers {
         Ok(map) => map,
         Err(error) => return vec![Err(error); 6 + 36 * 3 + 6 * 3 + 1],
     };
+    if rng.bool() {
+        // What is damaged is not kept.
+        let _ = map.keep();
+    }
     let place = |rng: &mut Rng| Place {
         position: frame().world_of([0; 3].map(|_| rng.u32(..1 << 22))),
         normal: rng.bool().then(|| [0; 3].map(|_| rng.f32() - 0.5)),
@@ -42,7 +46,7 @@ fn ask(file: &[u8], seed: u64) -> Answers {
             answers.push(a.clone().and_then(|a| text(map.shadow(&a, &light))));
         }
     }
-    answers.push(text(map.sees_counts()));
+    answers.push(text(map.sees_counts(&|| true)));
     answers
 }
 

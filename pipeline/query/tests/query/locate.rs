@@ -77,7 +77,11 @@ fn v8_the_surfel_found_is_the_best_of_all() {
         let file = Parts::new(&tree, &[], About { profile, ..About::default() }).seal();
         let map = Map::open(&file).unwrap();
         let frame = frame();
-        for _ in 0..400 {
+        for i in 0..400 {
+            // The same from memory.
+            if i == 200 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let position = frame.world_of(random_place(&mut rng, &tree));
             // Leaving the cube by rounding is another test's matter.
             let Ok(g) = frame.grid_of_query(position) else { continue };

@@ -11,5 +11,4 @@ mod pair;
 mod rays;
 mod regions;
 mod sound;
-mod speed;
 mod visible;

@@ -74,10 +74,12 @@ fn v6_every_leaf_pair_has_the_answer_of_its_link() {
             (0..n * n).map(|i| (at(&tree, i / n), at(&tree, i % n))).collect();
         let expected: Vec<_> = table.iter().map(|&answer| Ok(answer)).collect();
         assert_eq!(map.pairs(&questions), expected, "round {round}, all at once");
-        for (answer, (a, b)) in table.into_iter().zip(questions) {
+        for (answer, (a, b)) in table.iter().copied().zip(questions.iter().copied()) {
             assert_eq!(map.pair(&a, &b), Ok(answer), "round {round}, surfels {a:?} {b:?}");
             n_visible += u32::from(answer.visible);
         }
+        assert_eq!(map.keep(), Ok(true));
+        assert_eq!(map.pairs(&questions), expected, "round {round}, from memory");
     }
     assert!(n_visible > 10_000, "the random maps say nothing: {n_visible} visible pairs");
 }

@@ -37,7 +37,10 @@ fn v5_regions_see_what_the_predicates_say() {
     for sound in maps(32, 18) {
         let map = Map::open(&sound.file).unwrap();
         let points = |s: u32| u128::from(sound.tree.surfels[s as usize].n_points);
-        for _ in 0..150 {
+        for i in 0..150 {
+            if i == 75 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let ((g, one), (h, other)) = (random_ball(&mut rng), random_ball(&mut rng));
             let (x, y) = (inside(&sound, g, one.radius), inside(&sound, h, other.radius));
             let found = map.region(&one, &other);

@@ -1,7 +1,7 @@
 //! `visible_from` and `sees_counts` against every leaf pair.
 
 use fastrand::Rng;
-use pvmap_query::{Located, Map, SurfelSet};
+use pvmap_query::{Located, Map, QueryError, SurfelSet};
 use pvmap_vmap::{Shape, Tree};
 
 use crate::common::{About, Cut, Parts, grow, random_links, random_points, siblings};
@@ -21,8 +21,12 @@ fn v5_what_a_leaf_sees_is_what_the_predicates_say() {
     for sound in maps(21, 24) {
         let map = Map::open(&sound.file).unwrap();
         assert_eq!(map.view().verify(), Ok(()));
-        let counts = map.sees_counts().unwrap();
+        assert_eq!(map.sees_counts(&|| false), Err(QueryError::Stopped));
+        let counts = map.sees_counts(&|| true).unwrap();
         for a in 0..sound.n_surfels() {
+            if a == sound.n_surfels() / 2 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let found = map.visible_from(&at(&sound.tree, a)).unwrap();
             let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&b| sound.sees(a, b)).collect();
             assert_eq!(ids(&found.surfels), expected, "surfel {a}");
@@ -51,9 +55,12 @@ fn v5_what_a_leaf_sees_is_what_its_links_cover() {
         let about = About { given, links_per_frame, ..About::default() };
         let file = Parts::new(&tree, &links, about).seal();
         let map = Map::open(&file).unwrap();
-        let counts = map.sees_counts().unwrap();
+        let counts = map.sees_counts(&|| true).unwrap();
         let n = tree.surfels.len() as u32;
         for a in 0..n {
+            if a == n / 2 {
+                assert_eq!(map.keep(), Ok(true));
+            }
             let found = map.visible_from(&at(&tree, a)).unwrap().surfels;
             let sees = |b: u32| map.pair(&at(&tree, a), &at(&tree, b)).unwrap().visible;
             assert_eq!(ids(&found), (0..n).filter(|&b| sees(b)).collect::<Vec<_>>(), "{round}");
@@ -85,5 +92,10 @@ fn a_place_of_another_map_is_refused() {
     for (surfel, node) in [(0, 0), (1, sound.tree.surfels[0].node), (u32::MAX, u32::MAX)] {
         let strange = Located { surfel, node, distance: 0.0 };
         assert!(map.visible_from(&strange).is_err(), "{strange:?}");
+        for keeps in [false, true] {
+            assert!(!keeps || map.keep().unwrap());
+            assert!(map.pair(&strange, &at(&sound.tree, 2)).is_err(), "{strange:?}");
+            assert!(map.pair(&at(&sound.tree, 2), &strange).is_err(), "{strange:?}");
+        }
     }
 }

@@ -1,0 +1,71 @@
+//! All links of a map in memory.
+
+use pvmap_vmap::tree::Nodes;
+use pvmap_vmap::{FormatError, MapView};
+use rayon::prelude::*;
+
+/// The most links that are kept: 64 MiB of them.
+const MAX_LINKS: u64 = 1 << 24;
+/// Frames decoded before their links are put away: some 10 MB.
+const N_AT_ONCE: usize = 256;
+
+/// Of each node its parent and the later nodes it is linked to.
+#[derive(Debug)]
+pub(crate) struct Adjacency {
+    parents: Vec<u32>,
+    /// Where each node's partners start; one more than there are nodes.
+    starts: Vec<u32>,
+    /// The partners, rising within a list.
+    partners: Vec<u32>,
+}
+
+impl Adjacency {
+    /// Reads them all; none where they are too many.
+    pub(crate) fn of(view: &MapView<'_>) -> Result<Option<Adjacency>, FormatError> {
+        let (n_links, n_nodes) = (view.summary().n_links, view.n_nodes());
+        if n_links > MAX_LINKS {
+            return Ok(None);
+        }
+        let parents: Vec<u32> =
+            (0..n_nodes).into_par_iter().map(|id| view.parent(id)).collect::<Result<_, _>>()?;
+        let (mut starts, mut partners) = (vec![0; n_nodes as usize + 1], Vec::new());
+        let frames: Vec<u64> = (0..view.n_link_blocks()).collect();
+        for some in frames.chunks(N_AT_ONCE) {
+            let decoded: Vec<_> = some.par_iter().map(|&i| view.link_lists(i)).collect();
+            for lists in decoded {
+                for (a, list) in lists?.lists() {
+                    // A list may go on in the next frame: then this is its end so far.
+                    if let Some(end) = starts.get_mut(a as usize + 1) {
+                        partners.extend_from_slice(list);
+                        *end = partners.len() as u32;
+                    }
+                }
+                if partners.len() as u64 > MAX_LINKS {
+                    return Ok(None);
+                }
+            }
+        }
+        // Nodes without a list end where the one before them does.
+        let mut end = 0;
+        for start in &mut starts {
+            end = end.max(*start);
+            *start = end;
+        }
+        Ok(Some(Adjacency { parents, starts, partners }))
+    }
+
+    /// Gives the parent of a node; none where there is no such node.
+    #[inline]
+    pub(crate) fn parent(&self, id: u32) -> Option<u32> {
+        self.parents.get(id as usize).copied()
+    }
+
+    /// Gives the later nodes that a node is linked to, rising.
+    #[inline]
+    pub(crate) fn partners_of(&self, a: u32) -> &[u32] {
+        match self.starts.get(a as usize..a as usize + 2) {
+            Some(&[start, end]) => &self.partners[start as usize..end as usize],
+            _ => &[],
+        }
+    }
+}
