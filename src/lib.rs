@@ -47,6 +47,7 @@ mod error;
 mod export;
 mod ingest;
 mod limits;
+mod pairing;
 pub mod rows;
 pub mod scenes;
 
@@ -61,6 +62,7 @@ pub use export::{
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
+pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;
 pub use pvmap_octree::ingest::{NormalsFrom, Orientation};
 pub use pvmap_query as query;

@@ -35,7 +35,10 @@ impl Limits {
     }
 
     /// Runs a job on a pool of so many threads.
-    pub(crate) fn run<T: Send>(&self, job: impl FnOnce() -> T + Send) -> Result<T, Error> {
+    ///
+    /// # Errors
+    /// Where there are more than 1024, or the system has no room for them.
+    pub fn run<T: Send>(&self, job: impl FnOnce() -> T + Send) -> Result<T, Error> {
         self.check()?;
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.threads)

@@ -6,7 +6,7 @@ mod cli_common;
 
 use std::path::Path;
 
-use cli_common::{Bench, data, is_slow_asked_for};
+use cli_common::{Bench, data, is_slow_asked_for, needle};
 use pvmap::accuracy::{Way, compare, draw_place};
 use pvmap::query::Place;
 use pvmap::scan::MeshWriter;
@@ -24,26 +24,6 @@ fn write_mesh(path: &Path, corners: &[[f64; 3]], triangles: &[[u32; 3]]) {
 
 fn read_mesh(path: &Path) -> Mesh {
     scenes::read_mesh(path, 1 << 30).unwrap().mesh
-}
-
-/// A needle with eight sides and a notch half way up, its front outward, y up.
-fn needle(path: &Path) {
-    let ring = [[1.0, 0.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 1.0]];
-    let mut corners = vec![[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]];
-    for (y, r) in [(1.0, 1.0), (2.0, 0.3), (3.0, 0.8)] {
-        corners.extend(ring.map(|[x, z]| [x * r, y, z * r]));
-    }
-    let mut triangles = Vec::new();
-    for i in 0..4 {
-        let next = (i + 1) % 4;
-        triangles.push([0, 2 + next, 2 + i]);
-        triangles.push([1, 10 + i, 10 + next]);
-        for ring in [2, 6] {
-            let [a, b, c, d] = [ring + i, ring + next, ring + 4 + next, ring + 4 + i];
-            triangles.extend([[a, b, c], [a, c, d]]);
-        }
-    }
-    write_mesh(path, &corners, &triangles);
 }
 
 fn two_needles(folder: &Path) -> Scene {

@@ -98,6 +98,14 @@ fn colours_are_those_asked_for() {
     scalar("c.csv:light").fails(65, &["c.csv", "line 3", "4000000"]);
     scalar("d.csv:light").fails(65, &["d.csv", "line 2", "bright"]);
     scalar("e.csv:light").fails(66, &["e.csv"]);
+    bench.write("f.csv", "surfel,light\n3,1\n5,2\n3,1\n");
+    scalar("f.csv:light").fails(65, &["f.csv", "line 4", "surfel 3 again"]);
+    bench.write("g.csv", "surfel,light\n3,1\n5,2\n6,\n");
+    let run = scalar("g.csv:light").ok();
+    assert!(run.stderr.contains(&format!("{} of {n_surfels} surfels", n_surfels - 2)), "{run:?}");
+    // Ends of the colours that are given: all is brighter than the brightest, or darker.
+    let of = |range: &str| middle(&format!("--color-by level --range {range}"));
+    assert_eq!((of("-5,0.5"), of("50,60")), ([242, 226, 82], [61, 4, 89]));
 }
 
 #[test]
@@ -144,12 +152,27 @@ fn exit_2_what_is_no_picture() {
         ("room.vmap --color-by scalar --scalar a.csv", &["FILE.csv:NAME"]),
         ("room.octree --color-by level", &["level", ".vmap"]),
         ("room.octree --color-by sees-count", &[".vmap"]),
+        ("room.vmap --range 1,2", &["--range", "sees-count"]),
+        ("room.vmap --color-by level --range 2,1", &["MIN,MAX"]),
+        ("room.vmap --clip 1,2,3", &["six numbers"]),
+        ("room.vmap --normal 0,0,1", &["--visible-from"]),
+        ("room.vmap --exact", &["--visible-from"]),
+        ("room.octree --octree room.octree", &["--octree", ".vmap"]),
         ("room.octree --visible-from 0,0,1", &["--visible-from", ".vmap"]),
     ] {
         bench.line(&format!("render {line} -o out.png")).fails(2, words);
     }
     bench.line("render room.vmap").fails(2, &["--output"]);
-    bench.line("render room.vmap -o room.vmap").fails(2, &["one of the inputs"]);
+    for (line, output) in [
+        ("room.vmap", "room.vmap"),
+        ("room.octree", "room.octree/points.pvo"),
+        ("room.vmap --octree room.octree", "room.octree/points.pvo"),
+        ("room.vmap --visible-from 0,0,1 --exact", "room.octree/points.pvo"),
+    ] {
+        let run = bench.line(&format!("render {line} -o {output}"));
+        run.fails(2, &["one of the inputs"]);
+    }
+    bench.line("render room.vmap --size 16384x16384 -o out.png").fails(78, &["--size", "MiB"]);
     bench.line("render none.vmap -o out.png").fails(66, &["none.vmap"]);
     bench.line("render room.ply -o out.png").fails(65, &["room.ply"]);
     bench.line("render room.vmap -o none/out.png").fails(73, &["none/out.png"]);
@@ -192,4 +215,45 @@ fn scans_of_one_point_or_none() {
             }
         }
     }
+}
+
+#[test]
+fn a_view_that_was_chosen_can_be_asked_for() {
+    let bench = room();
+    for view in ["--view corner", "--view top --ortho", "--view left --up 0,1,0"] {
+        let line = format!("render room.vmap --size 90x60 {view} -o a.png");
+        let run = bench.line(&line).ok();
+        let (_, flags) = run.stderr.split_once("seen from here: ").unwrap();
+        bench.line(&format!("render room.vmap --size 90x60 {} -o b.png", flags.trim())).ok();
+        let [a, b] = ["a.png", "b.png"].map(|name| Png::of(&bench.read(name)));
+        let n_other = a.2.iter().zip(&b.2).filter(|(a, b)| a.abs_diff(**b) > 8).count();
+        assert!(n_other < 100, "{view} {n_other}");
+    }
+    // A camera's own: the floor is two wide, and in the picture from edge to edge.
+    let from_above = "--size 90x90 --camera 0,0,9,0,0,-1 --up 0,1,0 --ortho --clip -2,-2,-2,2,2,0";
+    let n = picture(&bench, &format!("room.octree {from_above}")).count(|p| p != [255; 3]);
+    assert!((6_500..8_100).contains(&n), "{n}");
+}
+
+#[test]
+fn fields_of_colour_that_nobody_filled_are_no_colour() {
+    let bench = Bench::new();
+    let mut text = cli_common::ply_header(1600, &["x", "y", "z"]);
+    text = text.replace(
+        "end_header",
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header",
+    );
+    for i in 0..1600 {
+        writeln!(text, "{} {} 0 0 0 0", i % 40, i / 40).unwrap();
+    }
+    bench.write("black.ply", text);
+    bench.line("ingest black.ply").ok();
+    bench.line("build black.octree").ok();
+    for artifact in ["black.octree", "black.vmap"] {
+        let png = picture(&bench, &format!("{artifact} --view top --size 60x60"));
+        assert!(png.count(|p| p[0] < 100) == 0, "{artifact}");
+    }
+    // The column stays.
+    bench.line("export black.vmap --octree black.octree --points out.ply --field leaf").ok();
+    assert!(String::from_utf8_lossy(&bench.read("out.ply")).contains("red"));
 }

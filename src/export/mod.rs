@@ -20,7 +20,7 @@ use pvmap_vmap::octree::{FILE_NAME, Point};
 use pvmap_vmap::{MapView, OctreeView, Router};
 
 use crate::build::open_octree;
-use crate::{Error, Limits};
+use crate::{Error, Limits, require_pair};
 pub use begin::{Made, begin_file, begin_table};
 use fields::Values;
 pub use fields::{PlaceAnswer, PointField};
@@ -92,32 +92,12 @@ pub fn write_points(
     let (map_bytes, octree_bytes) = (Mapped::open(&request.map)?, open_octree(&request.octree)?);
     let octree = OctreeView::open(&octree_bytes).map_err(|e| Error::artifact(&points, e))?;
     let map = MapView::open(&map_bytes).map_err(|e| Error::artifact(&request.map, e))?;
-    check_pair(request, &map, &octree)?;
+    require_pair(&request.map, &map, &request.octree, &octree)?;
     let done = limits.run(|| run(request, output, (&map_bytes, &map), &octree, limits, watch))?;
     done.map_err(|e| match e {
         Error::Octree(OctreeError::Format(e)) => Error::artifact(&points, e),
         e => e,
     })
-}
-
-/// Refuses a map of other points.
-fn check_pair(
-    request: &ExportRequest,
-    map: &MapView<'_>,
-    octree: &OctreeView<'_>,
-) -> Result<(), Error> {
-    let (of, from) = (map.summary(), octree.summary());
-    // Points that are alike but elsewhere have the same digest. [D-2]
-    let is_of = (of.digest, of.n_points) == (from.digest, from.n_points)
-        && map.frame().frame == octree.frame().frame;
-    if !is_of {
-        let (map, octree) = (request.map.display(), request.octree.display());
-        return Err(Error::Data(format!(
-            "{map}: not a map of {octree}, but of other points; give the octree it was built from, \
-             or build a map of this one"
-        )));
-    }
-    Ok(())
 }
 
 fn run(

@@ -13,7 +13,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use pvmap::geometry::{PointBatch, Positions};
-use pvmap::scan::{LasOptions, LasWriter};
+use pvmap::scan::{LasOptions, LasWriter, MeshWriter};
 use pvmap::vmap::{MapView, OctreeView};
 use tempfile::TempDir;
 
@@ -310,4 +310,25 @@ pub fn room() -> Bench {
 pub fn info(bench: &Bench, artifact: &str) -> serde_json::Value {
     let run = bench.line(&format!("info {artifact} --json")).ok();
     serde_json::from_str(&run.stdout).unwrap()
+}
+
+/// A needle with eight sides and a notch half way up, its front outward, y up.
+pub fn needle(path: &Path) {
+    let ring = [[1.0, 0.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 1.0]];
+    let mut corners = vec![[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]];
+    for (y, r) in [(1.0, 1.0), (2.0, 0.3), (3.0, 0.8)] {
+        corners.extend(ring.map(|[x, z]| [x * r, y, z * r]));
+    }
+    let mut triangles = Vec::new();
+    for i in 0..4 {
+        let next = (i + 1) % 4;
+        triangles.push([0, 2 + next, 2 + i]);
+        triangles.push([1, 10 + i, 10 + next]);
+        for ring in [2, 6] {
+            let [a, b, c, d] = [ring + i, ring + next, ring + 4 + next, ring + 4 + i];
+            triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    let colors = vec![[0; 3]; triangles.len()];
+    MeshWriter::create(path).unwrap().finish(&corners, &triangles, &colors).unwrap();
 }

@@ -6,7 +6,7 @@ use crate::error::RenderError;
 use crate::vector::{Vector, add_scaled, cross, direction, dot, sub};
 
 /// The largest side of a picture.
-const MAX_SIDE_PX: u32 = 1 << 14;
+pub const MAX_SIDE_PX: u32 = 1 << 14;
 /// A default view leaves this share of the picture free around the scan.
 const MARGIN: f64 = 0.04;
 /// Up and ahead must differ by more than this (the sine of their angle).
@@ -157,9 +157,13 @@ impl Camera {
         [dot(v, self.right), dot(v, self.down), dot(v, self.ahead)]
     }
 
-    /// Finds where a place of the grid is in the picture; none where it is not before the eye.
-    pub(crate) fn see(&self, g: Vector) -> Option<Seen> {
-        let place = self.turn(sub(g, self.eye));
+    /// Turns a place of the grid into steps right, down and ahead of the eye.
+    pub(crate) fn place_of(&self, g: Vector) -> Vector {
+        self.turn(sub(g, self.eye))
+    }
+
+    /// Finds where such a place is in the picture; none where it is not before the eye.
+    pub(crate) fn seen(&self, place: Vector) -> Option<Seen> {
         if place[2] <= 0.0 {
             return None;
         }
@@ -172,7 +176,7 @@ impl Camera {
         Some(Seen { place, offset_px, ray })
     }
 
-    /// Brings a place from right, down, ahead to the picture, as [`Camera::see`] does.
+    /// Brings a place from right, down, ahead to the picture, as [`Camera::seen`] does.
     pub(crate) fn flat(&self, place: Vector) -> [f64; 2] {
         let per_depth = if self.is_perspective { 1.0 / place[2] } else { 1.0 };
         [place[0] * per_depth * self.focal_px, place[1] * per_depth * self.focal_px]
@@ -182,10 +186,15 @@ impl Camera {
     pub(crate) fn grid_of_world(&self, x: [f64; 3]) -> Vector {
         sub(x, self.origin).map(|v| v / self.unit)
     }
+
+    /// Brings a length of the world onto the grid.
+    pub(crate) fn steps_of(&self, length: f64) -> f64 {
+        length / self.unit
+    }
 }
 
 /// Gives the world place of grid step 0 and the length of a step; 1 where the scan is one point.
-fn grid_of(frame: &Frame) -> (Vector, f64) {
+pub(crate) fn grid_of(frame: &Frame) -> (Vector, f64) {
     let unit = if frame.unit() > 0.0 { frame.unit() } else { 1.0 };
     (frame.world_of_real([0.0; 3]), unit)
 }
@@ -214,8 +223,7 @@ impl View {
         let half_sides = [f64::from(size.width_px), f64::from(size.height_px)].map(|v| v / 2.0);
         let free = 1.0 - 2.0 * MARGIN;
         let (mut distance, mut needed) = (unit, [unit; 2]);
-        for corner in 0..8 {
-            let x = [0, 1, 2].map(|i| if corner >> i & 1 == 0 { min[i] } else { max[i] });
+        for x in corners([min, max]) {
             let off = sub(x, middle);
             let (across, height, near) =
                 (dot(off, right).abs(), dot(off, upward).abs(), dot(off, back));
@@ -239,6 +247,36 @@ impl View {
         let distance = distance + unit;
         Ok(View { eye: add_scaled(middle, back, distance), target: middle, up: picture_up, lens })
     }
+}
+
+impl View {
+    /// Gives the width with which an orthographic picture from here holds a box (least and
+    /// greatest corner in grid steps); its middle stays where the view has it.
+    ///
+    /// # Errors
+    /// Where there is no such view.
+    pub fn width_of_box(
+        &self,
+        around: [[f64; 3]; 2],
+        size: Size,
+        frame: &Frame,
+    ) -> Result<f64, RenderError> {
+        let camera =
+            Camera::new(&View { lens: Lens::Orthographic { width: 1.0 }, ..*self }, size, frame)?;
+        let aspect = f64::from(size.width_px) / f64::from(size.height_px);
+        let mut needed: f64 = 1.0;
+        for corner in corners(around) {
+            let [right, down, _] = camera.place_of(corner);
+            needed = needed.max(right.abs()).max(down.abs() * aspect);
+        }
+        Ok(2.0 * needed * camera.unit / (1.0 - 2.0 * MARGIN))
+    }
+}
+
+/// Lists the corners of a box.
+fn corners([min, max]: [Vector; 2]) -> impl Iterator<Item = Vector> {
+    (0..8)
+        .map(move |i| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }))
 }
 
 /// Gives the direction from the middle to the eye, and what is up in the picture.

@@ -4,21 +4,25 @@
 //! it, in their order: the result depends on no number of threads. The first pass keeps the least
 //! depth at each pixel, the second adds up the colours of the discs within a tolerance of it. What
 //! fades out beyond the rim of a nearer surface is kept apart and laid over what is behind it.
+//! Projected discs are kept between the passes as far as the memory goes; the others are read and
+//! projected again.
 
 use rayon::prelude::*;
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Size};
 use crate::color::{Rgb, encode, srgb};
-use crate::disc::{Disc, Look};
+use crate::disc::{Disc, Look, Row};
 use crate::error::RenderError;
 use crate::picture::Picture;
-use crate::source::{CHUNK_SPLATS, Source, chunks};
+use crate::source::{CHUNK_SPLATS, Source, Splat, chunks};
 
 /// Rows of a band: small enough that many threads find work, large enough that few discs lie in
 /// two.
 const BAND_ROWS: usize = 16;
 /// Splats held at once.
 const BLOCK_SPLATS: u64 = 32 * CHUNK_SPLATS;
+/// Columns of a tile: a band of them as high as wide is passed over at once by what lies behind.
+const TILE_COLUMNS: usize = BAND_ROWS;
 /// What a disc weighs at its rim; 1 more at its middle.
 const RIM_WEIGHT: f32 = 1e-3;
 
@@ -33,8 +37,19 @@ pub struct Style {
     pub shade: f32,
 }
 
-/// Draws a picture; `tell` gets the number of splats gone through, in all twice as many as there
-/// are, and says whether to go on.
+/// Gives the bytes that a picture of a size holds while it is drawn, at least.
+pub fn held_bytes(size: Size) -> u64 {
+    let n_pixels = u64::from(size.width_px) * u64::from(size.height_px);
+    // What is added up, and the depth there and in the picture, and its colours.
+    let of_pixel = size_of::<Pixel>() + 2 * size_of::<f32>() + 3;
+    // Splats as they are read, as discs, and as numbers in the lists of two bands each.
+    let of_splat = size_of::<Splat>() + size_of::<Disc>() + 2 * size_of::<u32>();
+    n_pixels * of_pixel as u64 + BLOCK_SPLATS * of_splat as u64
+}
+
+/// Draws a picture, holding about `memory_bytes` or, where that is more, [`held_bytes`]; `tell`
+/// gets the number of splats gone through, in all twice as many as there are, and says whether to
+/// go on. The picture is the same for any memory.
 ///
 /// # Errors
 /// Where the source cannot be read, or `tell` says no.
@@ -42,6 +57,7 @@ pub fn render(
     source: &dyn Source,
     camera: &Camera,
     style: &Style,
+    memory_bytes: u64,
     tell: &mut dyn FnMut(u64) -> bool,
 ) -> Result<Picture, RenderError> {
     let size = camera.size();
@@ -49,20 +65,26 @@ pub fn render(
     let mut bands: Vec<Band> =
         (0..height).step_by(BAND_ROWS).map(|first| Band::new(first, width, height)).collect();
     let look = Look { cull_back: style.cull_back, shade: style.shade };
+    let n_bands = bands.len();
+    let read = |range| Chunk::read(source, range, camera, look, n_bands);
+    let mut kept = Vec::new();
+    let mut spare_bytes = memory_bytes.saturating_sub(held_bytes(size));
     for pass in [Band::sound as fn(&mut Band, &Disc), Band::blend] {
-        for first in (0..source.n_splats()).step_by(BLOCK_SPLATS as usize) {
+        let is_first = kept.is_empty();
+        for (i, first) in (0..source.n_splats()).step_by(BLOCK_SPLATS as usize).enumerate() {
             let block = first..source.n_splats().min(first + BLOCK_SPLATS);
             let n_read = block.end - block.start;
-            let read = |range| Chunk::read(source, range, camera, look, bands.len());
-            let drawn: Vec<Chunk> =
-                chunks(block).into_par_iter().map(read).collect::<Result<_, _>>()?;
-            bands.par_iter_mut().for_each(|band| {
-                for chunk in &drawn {
-                    for &disc in &chunk.of_band[band.first_row / BAND_ROWS] {
-                        pass(band, &chunk.discs[disc as usize]);
-                    }
-                }
-            });
+            let drawn: Vec<Chunk> = match kept.get_mut(i).and_then(Option::take) {
+                Some(drawn) => drawn,
+                None => chunks(block).into_par_iter().map(read).collect::<Result<_, _>>()?,
+            };
+            bands.par_iter_mut().for_each(|band| band.draw(&drawn, pass));
+            if is_first {
+                let n_bytes = drawn.iter().map(Chunk::n_bytes).sum();
+                let rest = spare_bytes.checked_sub(n_bytes);
+                spare_bytes = rest.unwrap_or(spare_bytes);
+                kept.push(rest.is_some().then_some(drawn));
+            }
             if !tell(n_read) {
                 return Err(RenderError::Stopped);
             }
@@ -80,7 +102,10 @@ pub fn render(
 /// Some discs, and which of them touch each band.
 struct Chunk {
     discs: Vec<Disc>,
-    of_band: Vec<Vec<u32>>,
+    /// Discs by band, in their order in each.
+    by_band: Vec<u32>,
+    /// Where each band begins there, and the end.
+    starts: Vec<u32>,
 }
 
 impl Chunk {
@@ -93,16 +118,39 @@ impl Chunk {
     ) -> Result<Chunk, RenderError> {
         let mut splats = Vec::with_capacity((range.end - range.start) as usize);
         source.read(range, &mut splats)?;
-        let discs: Vec<Disc> =
-            splats.iter().filter_map(|splat| Disc::of(splat, camera, look)).collect();
-        let mut of_band = vec![Vec::new(); n_bands];
-        for (i, disc) in (0..).zip(&discs) {
+        let mut discs = Vec::with_capacity(splats.len());
+        discs.extend(splats.iter().filter_map(|splat| Disc::of(splat, camera, look)));
+        let bands_of = |disc: &Disc| {
             let [from, to] = disc.rows.map(usize::from);
-            for band in &mut of_band[from / BAND_ROWS..=(to - 1) / BAND_ROWS] {
-                band.push(i);
+            from / BAND_ROWS..(to - 1) / BAND_ROWS + 1
+        };
+        let mut starts = vec![0; n_bands + 1];
+        for disc in &discs {
+            bands_of(disc).for_each(|band| starts[band + 1] += 1);
+        }
+        for band in 0..n_bands {
+            starts[band + 1] += starts[band];
+        }
+        let mut next = starts.clone();
+        let mut by_band = vec![0; starts[n_bands] as usize];
+        for (i, disc) in (0..).zip(&discs) {
+            for band in bands_of(disc) {
+                by_band[next[band] as usize] = i;
+                next[band] += 1;
             }
         }
-        Ok(Chunk { discs, of_band })
+        Ok(Chunk { discs, by_band, starts })
+    }
+
+    /// Walks the discs that touch a band.
+    fn of_band(&self, band: usize) -> impl Iterator<Item = &Disc> {
+        let range = self.starts[band] as usize..self.starts[band + 1] as usize;
+        self.by_band[range].iter().map(|&i| &self.discs[i as usize])
+    }
+
+    fn n_bytes(&self) -> u64 {
+        let n_numbers = self.by_band.capacity() + self.starts.capacity();
+        (self.discs.capacity() * size_of::<Disc>() + n_numbers * size_of::<u32>()) as u64
     }
 }
 
@@ -147,6 +195,8 @@ struct Band {
     corner: [f32; 2],
     /// The depth to which discs belong to the nearest surface; infinite where nothing is.
     depths: Vec<f32>,
+    /// The greatest of them in each tile, as of the last block.
+    tiles: Vec<f32>,
     pixels: Vec<Pixel>,
 }
 
@@ -157,49 +207,78 @@ impl Band {
         // Sides are at most 2^14, their halves exact.
         let corner = [width, height].map(|side| 0.5 - side as f32 / 2.0);
         let (depths, pixels) = (vec![f32::INFINITY; n], vec![Pixel::default(); n]);
-        Band { first_row, n_rows, width, corner, depths, pixels }
+        let tiles = vec![f32::INFINITY; width.div_ceil(TILE_COLUMNS)];
+        Band { first_row, n_rows, width, corner, depths, tiles, pixels }
     }
 
-    /// Walks the pixels a disc may cover: place in the band, offset from the disc's middle.
+    /// Draws a block of discs in a pass.
+    fn draw(&mut self, drawn: &[Chunk], pass: fn(&mut Band, &Disc)) {
+        let band = self.first_row / BAND_ROWS;
+        drawn.iter().flat_map(|chunk| chunk.of_band(band)).for_each(|disc| pass(self, disc));
+        let (depths, width) = (&self.depths, self.width);
+        for (i, tile) in self.tiles.iter_mut().enumerate() {
+            let columns = i * TILE_COLUMNS..width.min((i + 1) * TILE_COLUMNS);
+            let rows = depths.chunks_exact(width).map(|row| &row[columns.clone()]);
+            *tile = rows.flatten().copied().fold(f32::NEG_INFINITY, f32::max);
+        }
+    }
+
+    /// Says whether no place of a disc that is not nearer than `least` can be seen.
+    fn is_behind(&self, disc: &Disc, least: f32) -> bool {
+        let [left, right] = disc.columns.map(usize::from);
+        self.tiles[left / TILE_COLUMNS..=(right - 1) / TILE_COLUMNS].iter().all(|&t| least > t)
+    }
+
+    /// Walks the pixels a disc may cover, row by row: the offset from its middle, what is held of
+    /// the pixel.
     #[inline(always)]
-    fn walk(&mut self, disc: &Disc, mut visit: impl FnMut(&mut f32, &mut Pixel, f32, f32)) {
+    fn walk(&mut self, disc: &Disc, mut visit: impl FnMut(&Row<'_>, f32, &mut f32, &mut Pixel)) {
         let [top, bottom] = disc.rows.map(usize::from);
         let [left, right] = disc.columns.map(usize::from);
         let end = self.first_row + self.n_rows;
-        for row in top.max(self.first_row)..bottom.min(end) {
-            let dy = disc.offset(row as f32 + self.corner[1], 1);
-            let start = (row - self.first_row) * self.width;
+        for y in top.max(self.first_row)..bottom.min(end) {
+            let row = disc.row(y as f32 + self.corner[1]);
+            let start = (y - self.first_row) * self.width;
             let depths = &mut self.depths[start + left..start + right];
             let pixels = &mut self.pixels[start + left..start + right];
-            for ((column, depth), pixel) in (left..).zip(depths).zip(pixels) {
-                visit(depth, pixel, disc.offset(column as f32 + self.corner[0], 0), dy);
+            for ((x, depth), pixel) in (left..).zip(depths).zip(pixels) {
+                visit(&row, row.offset(x as f32 + self.corner[0]), depth, pixel);
             }
         }
     }
 
     /// First pass: how near is the nearest surface?
     fn sound(&mut self, disc: &Disc) {
-        self.walk(disc, |depth, _, dx, dy| {
-            let cover = disc.at(dx, dy);
-            if cover.share2 <= 1.0 {
-                *depth = depth.min(cover.depth + disc.tolerance);
+        if self.is_behind(disc, disc.nearest() + disc.tolerance) {
+            return;
+        }
+        self.walk(disc, |row, dx, depth, _| {
+            let farther = row.farther(dx);
+            let to = row.depth(dx, farther) + disc.tolerance;
+            if to < *depth && row.share2(dx, farther) <= 1.0 {
+                *depth = to;
             }
         });
     }
 
     /// Second pass: what colour has it?
     fn blend(&mut self, disc: &Disc) {
-        self.walk(disc, |depth, pixel, dx, dy| {
-            let cover = disc.at(dx, dy);
-            if cover.depth > *depth {
+        if self.is_behind(disc, disc.nearest()) {
+            return;
+        }
+        self.walk(disc, |row, dx, depth, pixel| {
+            let farther = row.farther(dx);
+            let at = row.depth(dx, farther);
+            if at > *depth {
                 return;
             }
-            if cover.share2 <= 1.0 {
-                let inner = 1.0 - cover.share2;
-                pixel.surface.add(disc.color, inner * inner + RIM_WEIGHT);
-            } else if cover.depth + 2.0 * disc.tolerance < *depth {
+            let share2 = row.share2(dx, farther);
+            if share2 <= 1.0 {
+                let inner = 1.0 - share2;
+                pixel.surface.add(disc.color, (inner * inner + RIM_WEIGHT) * disc.weight);
+            } else if at + 2.0 * disc.tolerance < *depth {
                 // Nearer than the nearest surface by more than it is thick: an edge before it.
-                let share = disc.fringe(dx, dy);
+                let share = row.fringe(dx, farther);
                 if share > 0.0 {
                     pixel.fringe.add(disc.color, share);
                     pixel.covered = pixel.covered.max(share);

@@ -31,6 +31,15 @@ pub enum RenderError {
         /// How many surfels the map has.
         expected: u32,
     },
+    /// The colours are those of surfels, and no map says which points belong to which.
+    #[error("these colours are those of surfels: give a .vmap, as pvmap build makes it")]
+    NoMap,
+    /// The map says of a point of its octree that it has no leaf.
+    #[error("damaged: a point of its octree has no leaf in it; build it anew")]
+    NoLeaf,
+    /// The map that says which surfels points belong to cannot be read.
+    #[error(transparent)]
+    Map(FormatError),
     /// The caller asked to stop.
     #[error("stopped")]
     Stopped,
@@ -52,8 +61,13 @@ impl RenderError {
             | RenderError::Fov(_)
             | RenderError::Width(_)
             | RenderError::Size(..)
-            | RenderError::Values { .. } => true,
-            RenderError::Stopped | RenderError::Format(_) | RenderError::Write(_) => false,
+            | RenderError::Values { .. }
+            | RenderError::NoMap => true,
+            RenderError::NoLeaf
+            | RenderError::Map(_)
+            | RenderError::Stopped
+            | RenderError::Format(_)
+            | RenderError::Write(_) => false,
         }
     }
 }

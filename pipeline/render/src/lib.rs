@@ -1,13 +1,13 @@
 //! Pictures of scans: discs in, a PNG out.
 //!
 //! Every surfel of a map ([`MapSplats`]) or point of an octree ([`OctreeSplats`]) is a splat, a
-//! flat piece of surface: a patch or a disc. [`render`] draws them as seen by a [`Camera`] in two
-//! passes over the [`Source`]: the first finds the nearest surface at every pixel, the second
-//! blends the splats that lie on it, so that surfaces have no speckle and edges are soft.
-//! [`Picture`] takes marks and legends and writes the PNG. The source is read in blocks, so what
-//! is held is the picture's buffers and a block, whatever the size of the scan; the bytes are the
-//! same for any number of threads. The room opens no file, decides no visibility and prints
-//! nothing.
+//! flat piece of surface: a patch or a disc. A [`Paint`] colours both alike. [`render`] draws them
+//! as seen by a [`Camera`] in two passes over the [`Source`]: the first finds the nearest surface
+//! at every pixel, the second blends the splats that lie on it, so that surfaces have no speckle
+//! and edges are soft. [`Picture`] takes marks and legends and writes the PNG. The source is read
+//! in blocks, and projected splats are kept as far as a budget allows, so what is held is known
+//! before, whatever the size of the scan; the bytes are the same for any threads and memory. The
+//! room opens no file, decides no visibility and prints nothing.
 //!
 //! Start reading at [`render`], then `disc.rs`: how a splat covers pixels.
 
@@ -19,15 +19,17 @@ mod error;
 mod font;
 mod map;
 mod octree;
+mod paint;
 mod picture;
 mod source;
 mod vector;
 
-pub use camera::{Camera, Lens, Side, Size, View};
-pub use canvas::{Style, render};
+pub use camera::{Camera, Lens, MAX_SIDE_PX, Side, Size, View};
+pub use canvas::{Style, held_bytes, render};
 pub use color::{BINS, Rgb, VIOLET, gray, ramp, srgb};
 pub use error::RenderError;
 pub use map::MapSplats;
 pub use octree::OctreeSplats;
+pub use paint::{Paint, Seen};
 pub use picture::Picture;
-pub use source::{ColorBy, Shape, Source, Splat, Values, bounds};
+pub use source::{Clipped, ColorBy, Shape, Source, Splat, Values, bounds};

@@ -2,14 +2,15 @@
 
 use std::ops::Range;
 
-use pvmap_geometry::{GridPoint, normal};
-use pvmap_vmap::OctreeView;
+use pvmap_geometry::GridPoint;
 use pvmap_vmap::bytes::FieldReader;
+use pvmap_vmap::{MapView, OctreeView, Router};
 
-use crate::color::{Rgb, gray, of_bin, of_normal, srgb};
+use crate::color::{Rgb, srgb};
 use crate::error::RenderError;
 use crate::map::unit;
-use crate::source::{ColorBy, Shape, Source, Splat};
+use crate::paint::{Paint, Sample};
+use crate::source::{Shape, Source, Splat};
 
 /// Points whose box tells how far apart they are: they follow each other in Morton order.
 const GROUP_POINTS: usize = 16;
@@ -19,33 +20,42 @@ const N_BESIDE: usize = 3;
 /// Half spacings in a point's radius. Points that lie at random leave e^(-π r² / (2h)²) of a
 /// surface bare: 46 % at r = h, 4 % at 2 h, 0.08 % at 3 h.
 const RADIUS_HALF_SPACINGS: f32 = 3.0;
+/// Half spacings by which a surface may be deeper than one of its points says.
+pub(crate) const NOISE_HALF_SPACINGS: f32 = 2.0;
 
 /// The points of an octree: discs of three half spacings.
 #[derive(Debug)]
 pub struct OctreeSplats<'a> {
     view: &'a OctreeView<'a>,
-    color_by: ColorBy,
+    map: Option<&'a MapView<'a>>,
+    paint: Paint<'a>,
     scale: f32,
     color_at: Option<usize>,
     source_at: Option<usize>,
 }
 
 impl<'a> OctreeSplats<'a> {
-    /// Takes the points of an octree, with `scale` times their radius.
+    /// Takes the points of an octree, with `scale` times their radius. The map, one that was built
+    /// from this octree, says which surfel a point belongs to.
     ///
     /// # Errors
-    /// Where it is coloured by values, which only surfels have.
+    /// Where colours need surfels and there is no map, or not a number a surfel.
     pub fn new(
         view: &'a OctreeView<'a>,
-        color_by: ColorBy,
+        map: Option<&'a MapView<'a>>,
+        paint: Paint<'a>,
         scale: f32,
     ) -> Result<OctreeSplats<'a>, RenderError> {
-        if let ColorBy::Values(values) = &color_by {
-            return Err(RenderError::Values { found: values.of.len(), expected: 0 });
+        match map {
+            Some(map) => paint.check(map.summary().n_surfels)?,
+            None if paint.needs_surfel() => return Err(RenderError::NoMap),
+            None => {}
         }
+        // Who needs no surfel does not look for it.
+        let map = map.filter(|_| paint.needs_surfel());
         let at = |name| view.schema().column(name).map(|c| c.offset);
         let (color_at, source_at) = (at("color"), at("source"));
-        Ok(OctreeSplats { view, color_by, scale, color_at, source_at })
+        Ok(OctreeSplats { view, map, paint, scale, color_at, source_at })
     }
 
     /// Gives a record's colour; none where its source has none.
@@ -66,29 +76,41 @@ impl Source for OctreeSplats<'_> {
         self.view.summary().n_points
     }
 
+    fn is_gray(&self) -> Result<bool, RenderError> {
+        let is_colored = self.view.sources().iter().any(|source| source.color_depth > 0);
+        Ok(self.paint.is_of_scan() && !(self.color_at.is_some() && is_colored))
+    }
+
     fn read(&self, range: Range<u64>, out: &mut Vec<Splat>) -> Result<(), RenderError> {
         let points = self.view.points(range.start, range.end - range.start)?;
         let mut places = Vec::with_capacity((range.end - range.start) as usize);
         let first = out.len();
+        // It remembers leaves, and points come in Morton order.
+        let mut router = self.map.map(Router::new);
         for point in points.iter() {
             let point = point?;
-            let n = unit(point.key.normal);
-            let color = match self.color_by {
-                ColorBy::Normal => of_normal(n),
-                ColorBy::Bin => of_bin(normal::bin(point.key.normal, point.key.oriented) as i8),
-                ColorBy::Rgb | ColorBy::Values(_) => {
-                    self.scanned(point.record).unwrap_or_else(gray)
+            let surfel = match &mut router {
+                Some(router) => {
+                    let found = router.surfel_of(&point.key).map_err(RenderError::Map)?;
+                    Some(found.ok_or(RenderError::NoLeaf)?)
                 }
+                None => None,
             };
+            let normal = unit(point.key.normal);
+            let scanned = self.scanned(point.record);
+            let sample = Sample { surfel, scanned, normal, bin: point.key.bin() as i8 };
+            let color = self.paint.color(&sample);
             places.push(point.key.g);
             let centre = point.key.g.map(|v| v as f32);
             let two_sided = !point.key.oriented;
-            out.push(Splat { centre, normal: n, shape: Shape::Round(1.0), two_sided, color });
+            let shape = Shape::Round(1.0);
+            out.push(Splat { centre, normal, shape, noise: 1.0, two_sided, color });
         }
         let half_spacings = half_spacings(&places);
         for (i, splat) in out[first..].iter_mut().enumerate() {
             let half_spacing = half_spacings[i / GROUP_POINTS];
             splat.shape = Shape::Round(half_spacing * RADIUS_HALF_SPACINGS * self.scale);
+            splat.noise = half_spacing * NOISE_HALF_SPACINGS;
         }
         Ok(())
     }

@@ -57,18 +57,20 @@ impl Picture {
         self.depths[y as usize * self.size.width_px as usize + x as usize].is_finite()
     }
 
-    /// Marks a place of the world with a dot, or with a ring where it is hidden; says whether it
-    /// is in the picture.
-    pub fn mark(&mut self, camera: &Camera, place: [f64; 3], color: [u8; 3]) -> bool {
-        let Some(seen) = camera.see(camera.grid_of_world(place)) else { return false };
+    /// Marks a place of the world with a dot, or with a ring where it is hidden: where it lies
+    /// deeper than what is in the picture by more than `slack`, world units. Says whether it is in
+    /// the picture.
+    pub fn mark(&mut self, camera: &Camera, place: [f64; 3], slack: f64, color: [u8; 3]) -> bool {
+        let place = camera.place_of(camera.grid_of_world(place));
+        let Some(seen) = camera.seen(place) else { return false };
         let (width, height) = (f64::from(self.size.width_px), f64::from(self.size.height_px));
         let middle = [seen.offset_px[0] + width / 2.0, seen.offset_px[1] + height / 2.0];
         if !(0.0..width).contains(&middle[0]) || !(0.0..height).contains(&middle[1]) {
             return false;
         }
         let at = middle[1] as usize * self.size.width_px as usize + middle[0] as usize;
-        // A place on a surface may be a little behind the discs that stand for it.
-        let is_hidden = seen.place[2] > f64::from(self.depths[at]) * (1.0 + 1e-3);
+        // The depths have the noise of their surface in them; a step is for their rounding.
+        let is_hidden = seen.place[2] > f64::from(self.depths[at]) + camera.steps_of(slack) + 1.0;
         let radius = (height * MARK_SHARE).max(MIN_MARK_PX);
         let rim = radius * (1.0 + MARK_RIM);
         let reach = |i: usize, side: f64| {

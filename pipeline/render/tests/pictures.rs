@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use pvmap_geometry::{Frame, grid};
 use pvmap_render::{
-    Camera, Lens, Picture, RenderError, Shape, Side, Size, Source, Splat, Style, View, bounds,
-    render, srgb,
+    Camera, Clipped, Lens, Picture, RenderError, Shape, Side, Size, Source, Splat, Style, View,
+    bounds, held_bytes, render, srgb,
 };
 
 /// Splats in memory.
@@ -24,6 +24,7 @@ impl Source for Few {
 }
 
 const SIZE: Size = Size { width_px: 160, height_px: 120 };
+const MEMORY: u64 = 1 << 30;
 const RED: [u8; 3] = [200, 30, 20];
 const BLUE: [u8; 3] = [20, 40, 210];
 const WHITE: [u8; 3] = [255; 3];
@@ -46,12 +47,12 @@ fn ahead(eye: [f64; 3], lens: Lens) -> Camera {
 fn disc(centre: [f32; 3], normal: [f32; 3], radius: f32, color: [u8; 3]) -> Splat {
     let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
     let normal = if length > 0.0 { normal.map(|v| v / length) } else { normal };
-    let shape = Shape::Round(radius);
-    Splat { centre, normal, shape, two_sided: false, color: srgb(color) }
+    let (shape, noise) = (Shape::Round(radius), radius * 2.0 / 3.0);
+    Splat { centre, normal, shape, noise, two_sided: false, color: srgb(color) }
 }
 
 fn draw(splats: &[Splat], camera: &Camera, style: &Style) -> Picture {
-    render(&Few(splats.to_vec()), camera, style, &mut |_| true).unwrap()
+    render(&Few(splats.to_vec()), camera, style, MEMORY, &mut |_| true).unwrap()
 }
 
 fn pixels() -> impl Iterator<Item = (u32, u32)> {
@@ -93,8 +94,10 @@ fn a_splat_covers_the_pixels_whose_rays_meet_it() {
     for lens in [SQUARE, Lens::Orthographic { width: 200.0 }] {
         let camera = ahead(EYE, lens);
         let round = disc(centre, tilted, 30.0, RED);
-        let square = Splat { shape: Shape::Box([25.0, 19.0, 15.0]), ..round };
-        for splat in [round, square] {
+        let (low, high) = ([-25.0, -9.0, -15.0], [20.0, 19.0, 30.0]);
+        let square = Splat { shape: Shape::Box([low, high]), ..round };
+        let oval = Splat { shape: Shape::Ellipse([30.0, 15.0, 25.0]), ..round };
+        for splat in [round, square, oval] {
             let picture = draw(&[splat], &camera, &PLAIN);
             let mut n_inside = 0;
             for (x, y) in pixels() {
@@ -103,8 +106,11 @@ fn a_splat_covers_the_pixels_whose_rays_meet_it() {
                     Shape::Round(radius) => {
                         p.map(|v| v * v).iter().sum::<f64>().sqrt() / f64::from(radius)
                     }
-                    Shape::Box(half) => {
-                        (0..3).map(|i| (p[i] / f64::from(half[i])).abs()).fold(0.0, f64::max)
+                    Shape::Box([low, high]) => (0..3)
+                        .map(|i| (p[i] / f64::from(low[i])).max(p[i] / f64::from(high[i])))
+                        .fold(0.0, f64::max),
+                    Shape::Ellipse(half) => {
+                        (0..3).map(|i| (p[i] / f64::from(half[i])).powi(2)).sum::<f64>().sqrt()
                     }
                 };
                 n_inside += usize::from(share < 1.0);
@@ -198,6 +204,32 @@ fn a_disc_at_the_eye_covers_everything() {
     assert!(count(&draw(&[slanted], &camera, &PLAIN)) > 160 * 60);
 }
 
+#[test]
+fn what_begins_behind_the_eye_is_seen_where_it_reaches_before_it() {
+    let camera = ahead(EYE, SQUARE);
+    // A floor whose middle is under or behind the eye: it covers what is below the horizon, as far
+    // as it reaches.
+    let floor = |y: f32, shape| {
+        let splat = disc([1000.0, y, 900.0], [0.0, 0.0, 1.0], 1.0, RED);
+        draw(&[Splat { shape, ..splat }], &camera, &PLAIN)
+    };
+    for shape in [
+        Shape::Round(4000.0),
+        Shape::Box([[-4000.0; 3], [4000.0; 3]]),
+        Shape::Ellipse([4000.0, 4000.0, 9.0]),
+    ] {
+        for y in [1.0, 0.0, -1.0, -500.0] {
+            let picture = floor(y, shape);
+            for (x, y) in pixels() {
+                // Below the horizon's row 60 by 3 pixels: 2000 steps away.
+                assert!(y < 64 || picture.pixel(x, y) == RED, "{shape:?} {x} {y}");
+                assert!(y > 57 || picture.pixel(x, y) == WHITE, "{shape:?} {x} {y}");
+            }
+        }
+        assert_eq!(count(&floor(-4001.0, shape)), 0);
+    }
+}
+
 /// Points at random on a wall before a second wall.
 fn walls(n: usize, radius: f32) -> Vec<Splat> {
     let mut rng = fastrand::Rng::with_seed(7);
@@ -257,20 +289,24 @@ fn a_mirrored_scene_gives_a_mirrored_picture() {
 }
 
 #[test]
-fn threads_change_no_byte() {
-    let splats = Few(walls(30_000, 3.0));
+fn threads_and_memory_change_no_byte() {
+    // More than a block.
+    let splats = Few(walls(90_000, 3.0));
     let camera = ahead(EYE, SQUARE);
     let style = Style { shade: 0.5, ..PLAIN };
-    let png = |n_threads| {
+    let png = |n_threads, memory| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         let mut bytes = Vec::new();
-        let picture = pool.install(|| render(&splats, &camera, &style, &mut |_| true));
+        let picture = pool.install(|| render(&splats, &camera, &style, memory, &mut |_| true));
         picture.unwrap().write_png(&mut bytes).unwrap();
         bytes
     };
-    let one = png(1);
+    let one = png(1, MEMORY);
     assert!(one.starts_with(b"\x89PNG\r\n\x1a\n"));
-    assert!([2, 3, 8].into_iter().all(|n| png(n) == one));
+    assert!([2, 3, 8].into_iter().all(|n| png(n, MEMORY) == one));
+    // One block of two is kept, and none.
+    let held = held_bytes(SIZE);
+    assert!([held + (24 << 20), 0].into_iter().all(|memory| png(2, memory) == one));
 }
 
 #[test]
@@ -331,7 +367,7 @@ fn marks_are_dots_or_rings_where_hidden() {
     let green = [0, 255, 0];
     let mark = |y: f64| {
         let mut picture = draw(&[wall], &camera, &PLAIN);
-        assert!(picture.mark(&camera, [1000.0, y, 1000.0], green));
+        assert!(picture.mark(&camera, [1000.0, y, 1000.0], 0.5, green));
         picture
     };
     assert_eq!(mark(50.0).pixel(80, 60), green);
@@ -342,7 +378,7 @@ fn marks_are_dots_or_rings_where_hidden() {
     let mut picture = draw(&[wall], &camera, &PLAIN);
     let before = picture.clone();
     for out in [[1000.0, -5.0, 1000.0], [5000.0, 100.0, 1000.0]] {
-        assert!(!picture.mark(&camera, out, green));
+        assert!(!picture.mark(&camera, out, 0.0, green));
     }
     assert_eq!(picture, before);
 }
@@ -364,6 +400,27 @@ fn a_legend_is_drawn_where_there_is_room() {
 
 #[test]
 fn a_wish_to_stop_ends_it() {
-    let stopped = render(&Few(walls(10, 1.0)), &ahead(EYE, SQUARE), &PLAIN, &mut |_| false);
+    let stopped = render(&Few(walls(10, 1.0)), &ahead(EYE, SQUARE), &PLAIN, MEMORY, &mut |_| false);
     assert!(matches!(stopped, Err(RenderError::Stopped)));
+}
+
+#[test]
+fn what_is_clipped_is_not_there() {
+    let at = |x: f32| disc([x, 100.0, 1000.0], TOWARDS, 5.0, RED);
+    let all = Few(vec![at(950.0), at(1000.0), at(1050.0)]);
+    let corners = [[1040.0, 0.0, 0.0], [960.0, 200.0, 2000.0]];
+    let clipped = Clipped::new(Box::new(all), corners, &frame());
+    assert_eq!(bounds(&clipped).unwrap(), Some([[1000.0, 100.0, 1000.0]; 2]));
+    assert_eq!(clipped.n_splats(), 3);
+}
+
+#[test]
+fn an_orthographic_picture_from_a_place_holds_what_it_should() {
+    let around = [[900.0, 50.0, 950.0], [1010.0, 60.0, 1300.0]];
+    let up = [0.0, 0.0, 1.0];
+    let view = View { eye: EYE, target: [1000.0, 9.0, 1000.0], up, lens: SQUARE };
+    let width = view.width_of_box(around, SIZE, &frame()).unwrap();
+    // 300 up from the middle, 4:3, and the margin.
+    let expected = 2.0 * 300.0 * 4.0 / 3.0 / 0.92;
+    assert!((width / expected - 1.0).abs() < 1e-6, "{width} {expected}");
 }

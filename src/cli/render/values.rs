@@ -15,8 +15,8 @@ pub(super) fn levels(view: &MapView<'_>, path: &Path) -> Result<Values, Error> {
 }
 
 /// Reads a column of a table: by the column `surfel`, or a row a surfel in order. An empty cell
-/// is no number.
-pub(super) fn scalars(file: &Path, column: &str, n_surfels: u32) -> Result<Values, Error> {
+/// is no number. Gives how many surfels have none, too.
+pub(super) fn scalars(file: &Path, column: &str, n_surfels: u32) -> Result<(Values, usize), Error> {
     let mut rows = Rows::open(file)?;
     let name = rows.name().display().to_string();
     let find = |wanted: &str| rows.header().iter().position(|h| h == wanted);
@@ -26,6 +26,7 @@ pub(super) fn scalars(file: &Path, column: &str, n_surfels: u32) -> Result<Value
     })?;
     let id_at = find("surfel");
     let mut of = vec![f32::NAN; n_surfels as usize];
+    let mut is_told = vec![false; n_surfels as usize];
     let mut next = 0u64;
     while let Some(row) = rows.read()? {
         let line = rows.line();
@@ -44,15 +45,18 @@ pub(super) fn scalars(file: &Path, column: &str, n_surfels: u32) -> Result<Value
             None => next,
         };
         next += 1;
-        let slot = usize::try_from(id).ok().and_then(|id| of.get_mut(id));
-        let slot = slot.ok_or_else(|| {
+        let slot = usize::try_from(id).ok().filter(|&id| id < of.len()).ok_or_else(|| {
             refuse(format!("surfel {id}, the map has {n_surfels}: is it another map's table?"))
         })?;
-        *slot = value;
+        if std::mem::replace(&mut is_told[slot], true) {
+            return Err(refuse(format!("surfel {id} again; give each one once")));
+        }
+        of[slot] = value;
     }
     if id_at.is_none() && next != u64::from(n_surfels) {
         let what = format!("{next} rows, the map has {n_surfels} surfels; add a column surfel");
         return Err(Error::Data(format!("{name}: {what}")));
     }
-    Ok(Values::new(of))
+    let n_without = of.iter().filter(|v| !v.is_finite()).count();
+    Ok((Values::new(of), n_without))
 }

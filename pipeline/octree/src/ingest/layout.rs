@@ -54,9 +54,11 @@ pub enum ColorPlan {
 }
 
 impl ColorPlan {
-    /// Gives the bits used, once the largest value is known.
+    /// Gives the bits used, once the largest value is known. Fields that nobody filled are no
+    /// colour: a scan is never black all over.
     pub(crate) fn depth(self, color_max: u16) -> u32 {
         match self {
+            _ if color_max == 0 => 0,
             ColorPlan::Absent => 0,
             ColorPlan::Eight => 8,
             ColorPlan::Either if color_max <= 255 => 8,

@@ -2,13 +2,15 @@
 //!
 //! No map takes part: [`Exact`] asks the octree. `cells` are its cells with their points,
 //! `occluders` walks those near a segment, `nearest` leads from a place to a point of the scan,
-//! `disagreement` counts where the answers of a map and of its points differ.
+//! `visible_from` asks about every surfel of a map, `disagreement` counts where the answers of a
+//! map and of its points differ.
 //! Source: Goradia et al. 2007 §3; DESIGN.md [V-7].
 
 mod cells;
 mod disagreement;
 mod nearest;
 mod occluders;
+mod visible_from;
 
 use std::num::NonZero;
 

@@ -74,11 +74,16 @@ impl Exact<'_, '_> {
     /// what is read of the octree is damaged. How far the point may be is for the caller to say.
     pub fn nearest(&self, place: &Place) -> Result<Nearest, QueryError> {
         let frame = &self.octree.frame().frame;
-        let target = target_of(frame, place)?;
-        let best = self.best(&target).map_err(QueryError::Octree)?;
-        let (fit, point) = self.choose(&best).ok_or(QueryError::NoPoints)?;
+        let (distance2, point) = self.nearest_to(&target_of(frame, place)?)?;
         // Below 2^46, so the float is exact before the root.
-        Ok(Nearest { point, distance: (fit.distance2 as f64).sqrt() * frame.unit() })
+        Ok(Nearest { point, distance: (distance2 as f64).sqrt() * frame.unit() })
+    }
+
+    /// Finds the point that stands for a place of the grid, and its squared distance.
+    pub(super) fn nearest_to(&self, target: &Target) -> Result<(u64, StoredPoint), QueryError> {
+        let best = self.best(target).map_err(QueryError::Octree)?;
+        let (fit, point) = self.choose(&best).ok_or(QueryError::NoPoints)?;
+        Ok((fit.distance2, point))
     }
 
     /// Gives the agreeing point, or the nearest where that is farther by more than Δ.

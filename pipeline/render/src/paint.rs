@@ -1,0 +1,84 @@
+//! What colour a surfel has, and with it the points that belong to it.
+
+use crate::color::{Rgb, VIOLET, gray, of_bin, of_normal, ramp, srgb};
+use crate::error::RenderError;
+use crate::source::{ColorBy, Values};
+
+/// Says whether a surfel is seen.
+pub type Seen<'a> = &'a (dyn Fn(u32) -> bool + Sync);
+
+/// Colours surfels and points: the same for both, so that a point is violet where its surfel is.
+#[derive(Clone)]
+pub struct Paint<'a> {
+    color_by: ColorBy,
+    seen: Option<Seen<'a>>,
+}
+
+/// What is known of a surfel or a point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sample {
+    /// The surfel, or that of the point; none where no map says.
+    pub(crate) surfel: Option<u32>,
+    /// In linear light; none where it was not recorded.
+    pub(crate) scanned: Option<Rgb>,
+    /// Of length 1, or zero.
+    pub(crate) normal: [f32; 3],
+    pub(crate) bin: i8,
+}
+
+impl std::fmt::Debug for Paint<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Paint").field("color_by", &self.color_by).finish_non_exhaustive()
+    }
+}
+
+impl<'a> Paint<'a> {
+    /// Colours by something; what is `seen` is violet.
+    pub fn new(color_by: ColorBy, seen: Option<Seen<'a>>) -> Paint<'a> {
+        Paint { color_by, seen }
+    }
+
+    /// Gives the numbers that are coloured, if it is numbers.
+    pub fn values(&self) -> Option<&Values> {
+        match &self.color_by {
+            ColorBy::Values(values) => Some(values),
+            _ => None,
+        }
+    }
+
+    /// Says whether a colour needs the surfel.
+    pub(crate) fn needs_surfel(&self) -> bool {
+        self.seen.is_some() || self.values().is_some()
+    }
+
+    /// Says whether colours are the scan's.
+    pub(crate) fn is_of_scan(&self) -> bool {
+        matches!(self.color_by, ColorBy::Rgb)
+    }
+
+    /// Demands a number a surfel where numbers are coloured.
+    pub(crate) fn check(&self, n_surfels: u32) -> Result<(), RenderError> {
+        match self.values() {
+            Some(values) if values.of.len() != n_surfels as usize => {
+                Err(RenderError::Values { found: values.of.len(), expected: n_surfels })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Gives the colour.
+    pub(crate) fn color(&self, of: &Sample) -> Rgb {
+        if let (Some(seen), Some(surfel)) = (self.seen, of.surfel)
+            && seen(surfel)
+        {
+            return srgb(VIOLET);
+        }
+        let share = |values: &Values| values.share(of.surfel? as usize);
+        match &self.color_by {
+            ColorBy::Rgb => of.scanned.unwrap_or_else(gray),
+            ColorBy::Normal => of_normal(of.normal),
+            ColorBy::Bin => of_bin(of.bin),
+            ColorBy::Values(values) => share(values).map_or_else(gray, ramp),
+        }
+    }
+}
