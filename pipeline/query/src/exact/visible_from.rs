@@ -19,11 +19,12 @@ impl Exact<'_, '_> {
     /// finds it for the surfel's normal. So a surfel half in shadow is seen or not by its middle,
     /// as in the map, but what hides it are points and not discs that stand over thin limbs.
     ///
-    /// `tell` gets the number of surfels decided and says whether to go on. Threads are those of the current rayon pool.
+    /// `tell` gets the number of surfels decided and says whether to go on. Threads are those of
+    /// the current rayon pool.
     ///
     /// # Errors
-    /// Where the map was not made from this octree, what is read of either is damaged, or `tell` says
-    /// no.
+    /// Where the map was not made from this octree, what is read of either is damaged, or `tell`
+    /// says no.
     pub fn visible_from(
         &self,
         map: &Map<'_>,
