@@ -82,7 +82,8 @@ pub(crate) struct Lookup<'m, 'a> {
 
 impl<'m, 'a> Lookup<'m, 'a> {
     pub(crate) fn new(map: &'m Map<'a>) -> Lookup<'m, 'a> {
-        let (view, frames, all) = (map.view(), &map.frames, map.kept().map(|kept| &kept.adjacency));
+        let (view, frames, all) =
+            (map.view(), &map.frames, map.kept().and_then(|kept| kept.adjacency.as_ref()));
         Lookup { view, frames, all, frame: None }
     }
 

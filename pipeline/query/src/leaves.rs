@@ -8,19 +8,25 @@ use std::ops::Range;
 
 use pvmap_geometry::{GridPoint, morton};
 use pvmap_vmap::tree::Nodes;
-use pvmap_vmap::{FormatError, Split};
+use pvmap_vmap::{FormatError, Node, Split};
 use rayon::prelude::*;
 
 use crate::map::Map;
 
-/// The cells of the leaves, in the order of their surfels.
+/// The leaves, in the order of their surfels.
 #[derive(Debug)]
 pub(crate) struct Leaves {
-    first_codes: Vec<u64>,
-    levels: Vec<u8>,
-    nodes: Vec<u32>,
+    leaves: Vec<Leaf>,
     bins: Vec<Bin>,
     deepest: u8,
+}
+
+/// The cell of a leaf.
+#[derive(Debug, Clone, Copy)]
+struct Leaf {
+    first_code: u64,
+    node: u32,
+    level: u8,
 }
 
 /// The leaves of a bin.
@@ -34,13 +40,13 @@ struct Bin {
 }
 
 impl Bin {
-    fn new(leaves: Range<usize>, first_codes: &[u64]) -> Bin {
-        // Some four leaves begin in a cell, in those that are not empty more.
-        let bits = (leaves.len().max(1).ilog2() + 1).saturating_sub(3);
+    fn new(leaves: Range<usize>, all: &[Leaf]) -> Bin {
+        // Two cells or more a leaf: most are empty, as leaves lie along surfaces.
+        let bits = leaves.len().max(1).ilog2() + 2;
         let shift = 63 - bits;
         let mut coarse = Vec::with_capacity((1 << bits) + 1);
         for leaf in leaves.clone() {
-            let cell = (first_codes[leaf] >> shift) as usize;
+            let cell = (all[leaf].first_code >> shift) as usize;
             coarse.resize(coarse.len().max(cell + 1), leaf as u32);
         }
         coarse.resize((1 << bits) + 1, leaves.end as u32);
@@ -48,10 +54,10 @@ impl Bin {
     }
 
     /// Gives the last leaf that begins at a code or before.
-    fn last_from(&self, code: u64, first_codes: &[u64]) -> Option<usize> {
+    fn last_from(&self, code: u64, all: &[Leaf]) -> Option<usize> {
         let cell = (code >> self.shift) as usize;
         let [from, to] = [self.coarse[cell] as usize, self.coarse[cell + 1] as usize];
-        let end = from + first_codes[from..to].partition_point(|&first| first <= code);
+        let end = from + all[from..to].partition_point(|leaf| leaf.first_code <= code);
         end.checked_sub(1).filter(|&last| last >= self.leaves.start)
     }
 }
@@ -78,24 +84,25 @@ impl Leaves {
                 .collect::<Result<_, _>>()?,
             root => root.map(|root| span(root.first_surfel, root.end_surfel)).into_iter().collect(),
         };
-        let first_codes: Vec<u64> = leaves.iter().map(|(_, leaf)| leaf.first_code).collect();
-        let in_order = |bin: &Range<usize>| first_codes[bin.clone()].is_sorted();
+        let of = |(node, leaf): (u32, Node)| {
+            let Node { first_code, level, .. } = leaf;
+            Leaf { first_code, node, level }
+        };
+        let leaves: Vec<Leaf> = leaves.into_iter().map(of).collect();
+        let in_order =
+            |bin: &Range<usize>| leaves[bin.clone()].is_sorted_by_key(|leaf| leaf.first_code);
         if let Some(bin) = bins.iter().find(|bin| !in_order(bin)) {
-            return Err(map.broken_node(leaves[bin.start].0, "stands before an earlier cell"));
+            return Err(map.broken_node(leaves[bin.start].node, "stands before an earlier cell"));
         }
-        Ok(Leaves {
-            bins: bins.into_iter().map(|bin| Bin::new(bin, &first_codes)).collect(),
-            first_codes,
-            levels: leaves.iter().map(|(_, leaf)| leaf.level).collect(),
-            nodes: leaves.iter().map(|&(id, _)| id).collect(),
-            deepest: leaves.iter().map(|(_, leaf)| leaf.level).max().unwrap_or(0),
-        })
+        let deepest = leaves.iter().map(|leaf| leaf.level).max().unwrap_or(0);
+        let bins = bins.into_iter().map(|bin| Bin::new(bin, &leaves)).collect();
+        Ok(Leaves { leaves, bins, deepest })
     }
 
     /// Gives the leaf of a surfel; none where there is no such surfel.
     #[inline]
     pub(crate) fn node_of(&self, surfel: u32) -> Option<u32> {
-        self.nodes.get(surfel as usize).copied()
+        self.leaves.get(surfel as usize).map(|leaf| leaf.node)
     }
 
     /// Calls `each` with surfel and node of every leaf whose closed cell holds a place, for some
@@ -111,15 +118,16 @@ impl Leaves {
         let on_faces = faces.fold(0u32, |on, i| on | 1 << i);
         for beside in (0..8).filter(|beside| beside & !on_faces == 0) {
             let code = morton::encode([0, 1, 2].map(|i| g[i] - (beside >> i & 1)));
-            for last in self.bins.iter().filter_map(|bin| bin.last_from(code, &self.first_codes)) {
-                let cell = (self.first_codes[last], self.levels[last]);
-                if !morton::cell_range(cell.0, cell.1).contains(&code) {
+            for last in self.bins.iter().filter_map(|bin| bin.last_from(code, &self.leaves)) {
+                let Leaf { first_code, level, .. } = self.leaves[last];
+                if !morton::cell_range(first_code, level).contains(&code) {
                     continue;
                 }
                 // The quadrants of a cell stand side by side.
-                let same = |&i: &usize| cell == (self.first_codes[i], self.levels[i]);
-                for i in (0..=last).rev().take_while(same) {
-                    each(i as u32, self.nodes[i])?;
+                let all = self.leaves[..=last].iter().enumerate().rev();
+                let same = |leaf: &Leaf| (leaf.first_code, leaf.level) == (first_code, level);
+                for (i, leaf) in all.take_while(|(_, leaf)| same(leaf)) {
+                    each(i as u32, leaf.node)?;
                 }
             }
         }
