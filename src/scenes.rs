@@ -54,8 +54,8 @@ pub fn write(
 /// in its own metres. A scan that got its name has its truth: that gets its name first.
 ///
 /// # Errors
-/// Those of [`write()`], and where the scene has a sphere or the mesh cannot be written. Neither file
-/// is there then or, where the scan's last step failed, the truth alone.
+/// Those of [`write()`], and where the scene has a sphere or the mesh cannot be written. Neither
+/// file is there then or, where the scan's last step failed, the truth alone.
 pub fn write_with_truth(
     scene: &Scene,
     request: &SceneRequest,
