@@ -18,9 +18,9 @@ pub(crate) struct Kept {
 
 impl Map<'_> {
     /// Reads leaves and links into memory, where later questions find them several times faster:
-    /// some thirty bytes a surfel, eight a node, four a link. Leaves out links that are more than 16
-    /// million, and reads nothing of more than 8 million nodes; says whether all is in memory now.
-    /// Threads are those of the current rayon pool.
+    /// some thirty bytes a surfel, eight a node, four a link. Leaves out links that are more than
+    /// 16 million, and reads nothing of more than 8 million nodes; says whether all is in memory
+    /// now. Threads are those of the current rayon pool.
     ///
     /// # Errors
     /// Where the map is damaged. Questions that need what is not damaged still have answers.

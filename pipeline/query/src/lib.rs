@@ -41,5 +41,5 @@ pub use pair::{Link, PairAnswer};
 pub use ray::{Hit, RayAnswer};
 pub use region::{Ball, RegionAnswer, Sight};
 pub use set::SurfelSet;
-pub use shadow::{Light, ShadowAnswer};
+pub use shadow::{Light, LightSource, ShadowAnswer};
 pub use visible_from::VisibleSet;

@@ -2,14 +2,17 @@
 
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::faces_both;
+use pvmap_vmap::Node;
 use pvmap_vmap::tree::disc_of;
 
+use crate::between::Walk;
 use crate::error::{QueryError, commas};
 use crate::locate::Located;
 use crate::map::Map;
 use crate::part::{Holds, Part};
-use crate::region::Sight;
+use crate::region::{Counted, Sight};
 use crate::segment::{in_the_air, near_grid};
+use crate::visible_from::is_behind;
 
 /// What shines.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +27,18 @@ pub enum Light<'l> {
     Box([f64; 3], [f64; 3]),
     /// So many points of some surfels: ids, rising, with how many points of each.
     Points(&'l [(u32, u64)]),
+    /// A light of many points that has been found before.
+    Source(&'l LightSource),
+}
+
+/// A light of many points, found once and asked from many places.
+#[derive(Debug)]
+pub struct LightSource(Part);
+
+impl PartialEq for LightSource {
+    fn eq(&self, other: &LightSource) -> bool {
+        std::ptr::eq(self, other)
+    }
 }
 
 /// How much of a light reaches a place.
@@ -66,7 +81,20 @@ impl Map<'_> {
                 })
             }
             Light::Air(position) => self.shadow_from_air(place, position),
-            Light::Box(low, high) => self.shadow_of_part(place, &self.part_in_box(low, high)?),
+            Light::Box(..) | Light::Points(_) => {
+                self.shadow_of_source(place, &self.light_source(light)?)
+            }
+            Light::Source(source) => self.shadow_of_source(place, source),
+        }
+    }
+
+    /// Finds a light of many points: the surfels of a box, or points of surfels.
+    ///
+    /// # Errors
+    /// Where the light has no points or is a single place, or the map is damaged.
+    pub fn light_source(&self, light: &Light<'_>) -> Result<LightSource, QueryError> {
+        let part = match *light {
+            Light::Box(low, high) => self.part_in_box(low, high)?,
             Light::Points(points) => {
                 let rises = points.is_sorted_by(|a, b| a.0 < b.0);
                 let known = points.last().is_some_and(|p| p.0 < self.view().summary().n_surfels);
@@ -74,9 +102,13 @@ impl Map<'_> {
                     let what = "in the light, or its list does not rise";
                     return Err(QueryError::NothingThere(what.to_owned()));
                 }
-                self.shadow_of_part(place, &Part::weighted(self, points)?)
+                Part::weighted(self, points)?
             }
-        }
+            Light::Surfel(_) | Light::Air(_) | Light::Source(_) => {
+                return Err(QueryError::NothingThere("in a light that is one place".to_owned()));
+            }
+        };
+        Ok(LightSource(part))
     }
 
     fn shadow_from_air(
@@ -101,10 +133,19 @@ impl Map<'_> {
         Ok(ShadowAnswer { reaches, n_surfels: 0, n_points: 1, blocker, n_links: 0, n_nodes })
     }
 
-    fn shadow_of_part(&self, place: &Located, light: &Part) -> Result<ShadowAnswer, QueryError> {
-        let (leaf, _) = self.leaf_of(place)?;
+    fn shadow_of_source(
+        &self,
+        place: &Located,
+        LightSource(light): &LightSource,
+    ) -> Result<ShadowAnswer, QueryError> {
+        let (leaf, surfel) = self.leaf_of(place)?;
         let own = Part::weighted(self, &[(place.surfel, 1)])?;
-        let found = self.pairs_between(&own, light)?;
+        let walk = Walk { map: self, from: &own, to: light, skip: &|_| false };
+        let later = walk.run::<Counted>()?;
+        // Links to earlier surfels stand in lists all over the light, but none behind the surfel.
+        let behind = |node: &Node| is_behind(&surfel, &node.cell());
+        let walk = Walk { map: self, from: light, to: &own, skip: &behind };
+        let found = later.and(walk.run::<Counted>()?);
         let n_own = u128::from(light.n_points_under(&leaf));
         let n_visible = found.n_visible.saturating_add(n_own);
         Ok(ShadowAnswer {

@@ -17,6 +17,8 @@ use crate::set::SurfelSet;
 pub struct VisibleSet {
     /// The surfels, that of the place among them. [V-6]
     pub surfels: SurfelSet,
+    /// Points that the surfels stand for.
+    pub n_points: u64,
     /// Links that cover them.
     pub n_links: u64,
     /// Nodes whose links were looked at.
@@ -33,10 +35,10 @@ impl Map<'_> {
     /// Where what is read of the map is damaged, or `from` was located on another map and this one
     /// has no such leaf.
     pub fn visible_from(&self, from: &Located) -> Result<VisibleSet, QueryError> {
-        let (_, surfel) = self.leaf_of(from)?;
+        let (leaf, surfel) = self.leaf_of(from)?;
         let (whole, own) = (Part::whole(self)?, Part::leaf(self, from.surfel)?);
         let walk = Walk { map: self, from: &own, to: &whole, skip: &|_| false };
-        let Seen { ranges: mut seen, n_links, n_nodes } = walk.run::<Seen<true>>()?;
+        let Seen { ranges: mut seen, n_points, n_links, n_nodes } = walk.run::<Seen<true>>()?;
         let behind = |node: &Node| is_behind(&surfel, &node.cell());
         let walk = Walk { map: self, from: &whole, to: &own, skip: &behind };
         let earlier = walk.run::<Seen<false>>()?;
@@ -44,6 +46,8 @@ impl Map<'_> {
         seen.push(from.surfel..from.surfel + 1);
         Ok(VisibleSet {
             surfels: SurfelSet::of(seen),
+            // A surfel is covered by one link. [V-5]
+            n_points: n_points.saturating_add(earlier.n_points).saturating_add(leaf.n_points),
             n_links: n_links + earlier.n_links,
             n_nodes: n_nodes + earlier.n_nodes,
         })
@@ -54,6 +58,7 @@ impl Map<'_> {
 #[derive(Default)]
 struct Seen<const FAR: bool> {
     ranges: Vec<Range<u32>>,
+    n_points: u64,
     n_links: u64,
     n_nodes: u64,
 }
@@ -62,6 +67,7 @@ impl<const FAR: bool> Tally for Seen<FAR> {
     fn link(&mut self, _: &Walk<'_, '_>, from: &Node, to: &Node) {
         let side = if FAR { to } else { from };
         self.ranges.push(side.first_surfel..side.end_surfel);
+        self.n_points = self.n_points.saturating_add(side.n_points);
         self.n_links += 1;
     }
 
@@ -71,6 +77,7 @@ impl<const FAR: bool> Tally for Seen<FAR> {
 
     fn join(&mut self, later: Self) {
         self.ranges.extend(later.ranges);
+        self.n_points = self.n_points.saturating_add(later.n_points);
         self.n_links += later.n_links;
         self.n_nodes += later.n_nodes;
     }

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::query::{Light, Located, Place, QueryError, ShadowAnswer, Sight};
+use pvmap::query::{Light, LightSource, Located, Place, QueryError, ShadowAnswer, Sight};
 use pvmap::rows::RowBlock;
 use pvmap::{Error, class_points};
 use serde_json::{Value, json};
@@ -122,20 +122,23 @@ const NO_LIGHT: &str = "no light; give --light, --light-box or --class";
 /// What the options, or a row, say of the light.
 enum Lamp {
     Place([f64; 3]),
-    Box([f64; 3], [f64; 3]),
-    Points(Vec<(u32, u64)>),
+    Source(LightSource),
 }
 
 impl Lamp {
     fn of(asked: &Asked<'_, '_>, args: &Args) -> Result<Option<Lamp>, Error> {
         let of_class = |class, octree: &Path| {
             let (path, bytes) = map_file(octree)?;
-            Ok::<_, Error>(Lamp::Points(class_points(asked.map, asked.path, &bytes, &path, class)?))
+            let points = class_points(asked.map, asked.path, &bytes, &path, class)?;
+            asked.named(asked.map.light_source(&Light::Points(&points)))
         };
         match (args.light, args.light_box, args.class, &args.octree) {
             (Some(place), ..) => Ok(Some(Lamp::Place(place))),
-            (_, Some([low, high]), ..) => Ok(Some(Lamp::Box(low, high))),
-            (_, _, Some(class), Some(octree)) => of_class(class, octree).map(Some),
+            (_, Some([low, high]), ..) => {
+                let source = asked.named(asked.map.light_source(&Light::Box(low, high)))?;
+                Ok(Some(Lamp::Source(source)))
+            }
+            (_, _, Some(class), Some(octree)) => Ok(Some(Lamp::Source(of_class(class, octree)?))),
             _ => Ok(None),
         }
     }
@@ -166,8 +169,7 @@ fn shade(
     let light = match (lamp, &on) {
         (_, Some(on)) => Light::Surfel(on),
         (Lamp::Place(position), None) => Light::Air(*position),
-        (Lamp::Box(low, high), None) => Light::Box(*low, *high),
-        (Lamp::Points(points), None) => Light::Points(points),
+        (Lamp::Source(source), None) => Light::Source(source),
     };
     let found = asked.map.shadow(&at, &light)?;
     Ok(Shaded { at, lamp: on, found })

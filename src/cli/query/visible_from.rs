@@ -84,17 +84,12 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
 struct Seen {
     from: Located,
     found: VisibleSet,
-    n_points: u64,
 }
 
 fn look(asked: &Asked<'_, '_>, from: &Place, snap: Snap) -> Result<Seen, QueryError> {
     let from = asked.map.locate(from, snap)?;
     let found = asked.map.visible_from(&from)?;
-    let mut n_points = 0u64;
-    for id in found.surfels.ids() {
-        n_points = n_points.saturating_add(asked.map.view().surfel(id)?.n_points);
-    }
-    Ok(Seen { from, found, n_points })
+    Ok(Seen { from, found })
 }
 
 fn as_json(seen: &Seen) -> Value {
@@ -103,7 +98,7 @@ fn as_json(seen: &Seen) -> Value {
         "surfel": seen.from.surfel,
         "distance": seen.from.distance,
         "seen": seen.found.surfels.len(),
-        "points": seen.n_points,
+        "points": seen.found.n_points,
         "ranges": ranges.map(|r| [r.start, r.end - 1]).collect::<Vec<_>>(),
     })
 }
@@ -135,8 +130,9 @@ impl Batch for Looks<'_, '_, '_> {
     }
 
     fn write(&self, seen: &Seen, out: &mut Vec<u8>) -> io::Result<()> {
-        let Seen { from, found, n_points } = seen;
-        write!(out, "{},{},{},{n_points},", from.surfel, from.distance, found.surfels.len())?;
+        let Seen { from, found } = seen;
+        let (n_surfels, n_points) = (found.surfels.len(), found.n_points);
+        write!(out, "{},{},{n_surfels},{n_points},", from.surfel, from.distance)?;
         for (i, range) in found.surfels.ranges().iter().enumerate() {
             let before = if i > 0 { ";" } else { "" };
             write!(out, "{before}{}-{}", range.start, range.end - 1)?;

@@ -31,6 +31,8 @@ fn v5_what_a_leaf_sees_is_what_the_predicates_say() {
             let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&b| sound.sees(a, b)).collect();
             assert_eq!(ids(&found.surfels), expected, "surfel {a}");
             assert_eq!(found.surfels.len(), counts[a as usize] + 1, "surfel {a}");
+            let points = |&b: &u32| sound.tree.surfels[b as usize].n_points;
+            assert_eq!(found.n_points, expected.iter().map(points).sum::<u64>());
             n_seen += expected.len();
             n_hidden += sound.n_surfels() as usize - expected.len();
         }
