@@ -1,7 +1,7 @@
 //! `visible_from` and `sees_counts` against every leaf pair.
 
 use fastrand::Rng;
-use pvmap_query::{Located, Map, QueryError, SurfelSet};
+use pvmap_query::{Light, Located, Map, QueryError, SurfelSet};
 use pvmap_vmap::{Shape, Tree};
 
 use crate::common::{About, Cut, Parts, grow, random_links, random_points, siblings};
@@ -68,6 +68,35 @@ fn v5_what_a_leaf_sees_is_what_its_links_cover() {
             assert_eq!(ids(&found), (0..n).filter(|&b| sees(b)).collect::<Vec<_>>(), "{round}");
             assert_eq!(found.len(), counts[a as usize] + 1);
         }
+    }
+}
+
+/// So many leaves that a walk over all of them goes on by several threads.
+#[test]
+fn v5_walks_over_large_trees_find_what_pairs_find() {
+    let mut rng = Rng::with_seed(25);
+    let cut = Cut { shape: Shape::Binned, leaf_capacity: 1, max_level: 21, few: 100 };
+    let mut tree = grow(&random_points(&mut rng, 20_000), cut);
+    tree.surfels.iter_mut().for_each(|s| s.two_sided = true);
+    let links = random_links(&mut rng, &tree, &siblings(&tree), 165);
+    let file = Parts::new(&tree, &links, About::default()).seal();
+    let map = Map::open(&file).unwrap();
+    let n = tree.surfels.len() as u32;
+    assert!(n > 10_000, "{n} leaves");
+    let asked: Vec<u32> = (0..12).map(|_| rng.u32(..n)).collect();
+    let found: Vec<SurfelSet> =
+        asked.iter().map(|&a| map.visible_from(&at(&tree, a)).unwrap().surfels).collect();
+    assert_eq!(map.keep(), Ok(true));
+    let light: Vec<(u32, u64)> = (0..n).map(|b| (b, tree.surfels[b as usize].n_points)).collect();
+    let n_points: u64 = light.iter().map(|l| l.1).sum();
+    let light = map.light_source(&Light::Points(&light)).unwrap();
+    for (&a, found) in asked.iter().zip(found) {
+        let sees = |b: &u32| map.pair(&at(&tree, a), &at(&tree, *b)).unwrap().visible;
+        let expected: Vec<u32> = (0..n).filter(sees).collect();
+        assert_eq!(ids(&found), expected, "{a}");
+        let shadow = map.shadow(&at(&tree, a), &Light::Source(&light)).unwrap();
+        let seen: u64 = expected.iter().map(|&b| tree.surfels[b as usize].n_points).sum();
+        assert!((shadow.reaches.share() - seen as f64 / n_points as f64).abs() < 1e-9, "{a}");
     }
 }
 
