@@ -313,6 +313,11 @@ impl<'a> Container<'a> {
         Ok(sums)
     }
 
+    /// Counts the blocks read so far, each once: so much of the file was needed.
+    pub fn n_blocks_read(&self) -> u64 {
+        self.checked.iter().map(|word| u64::from(word.load(Ordering::Relaxed).count_ones())).sum()
+    }
+
     /// Gives the length of the file.
     pub fn len_bytes(&self) -> u64 {
         self.bytes.len() as u64

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use pvmap::Error;
 use pvmap::query::{Located, Map, Place, QueryError, Snap};
+use serde_json::{Value, json};
 
 use self::batch::RowError;
 use super::{Context, Outcome, map_file, parse_point, print_json};
@@ -108,6 +109,13 @@ impl Asked<'_, '_> {
     fn centroid(&self, surfel: u32) -> Result<[f64; 3], QueryError> {
         let surfel = self.map.view().surfel(surfel)?;
         Ok(self.map.view().frame().frame.world_of(surfel.centroid))
+    }
+
+    /// Prints an answer, and how much was read for it: blocks of 64 KiB, and frames of links.
+    fn print_json(&self, mut answer: Value) -> std::io::Result<()> {
+        answer["blocks"] = json!(self.map.view().file().n_blocks_read());
+        answer["frames"] = json!(self.map.n_frames_decoded());
+        print_json(&answer)
     }
 
     /// Locates a place given on the command line.

@@ -8,7 +8,7 @@ use pvmap::query::exact::{Exact, Verdict};
 use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
-use super::{Asked, Outcome, commas, parse_distance, parse_point, place, print_json};
+use super::{Asked, Outcome, commas, parse_distance, parse_point, place};
 use crate::cli::exact::PointsArgs;
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
@@ -90,7 +90,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
                 "points_read": verdict.work.n_points,
             });
         }
-        print_json(&object)?;
+        asked.print_json(object)?;
     } else {
         let mut out = io::stdout().lock();
         writeln!(out, "{}", if visible { "yes" } else { "no" })?;

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, commas, parse_distance, parse_point, place, print_json, snap_of};
+use super::{Asked, Outcome, commas, parse_distance, parse_point, place, snap_of};
 
 /// What does a ray hit first?
 #[derive(Debug, clap::Args)]
@@ -68,7 +68,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     };
     let (from, found) = asked.named(shoot(asked, args, &place(origin, args.normal), direction))?;
     if args.json {
-        print_json(&as_json(&from, &found))?;
+        asked.print_json(as_json(&from, &found))?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut out = io::stdout().lock();

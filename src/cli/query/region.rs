@@ -10,7 +10,7 @@ use pvmap::rows::RowBlock;
 use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers};
-use super::{Asked, Outcome, parse_point, print_json};
+use super::{Asked, Outcome, parse_point};
 
 /// Do the points around one place see those around another: all, some or none?
 #[derive(Debug, clap::Args)]
@@ -67,7 +67,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     };
     let found = asked.named(asked.map.region(&balls[0], &balls[1]))?;
     if args.json {
-        print_json(&as_json(&found))?;
+        asked.print_json(as_json(&found))?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut out = io::stdout().lock();

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, Columns, RowError, numbers_if_any};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, map_file, parse_distance, parse_point, place, print_json, snap_of};
+use super::{Asked, Outcome, map_file, parse_distance, parse_point, place, snap_of};
 
 /// Does a light reach a place: lit, penumbra, umbra?
 #[derive(Debug, clap::Args)]
@@ -95,7 +95,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let shaded = shade(asked, args, &place(position, args.normal), &lamp);
     let shaded = asked.named(shaded)?;
     if args.json {
-        print_json(&as_json(&shaded))?;
+        asked.print_json(as_json(&shaded))?;
         return Ok(ExitCode::SUCCESS);
     }
     let Shaded { at, lamp: on, found } = shaded;

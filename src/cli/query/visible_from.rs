@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, RowError};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, parse_distance, parse_point, place, print_json, snap_of, stdout};
+use super::{Asked, Outcome, parse_distance, parse_point, place, snap_of, stdout};
 
 /// Which surfels does a place see? That which it lies on is among them
 #[derive(Debug, clap::Args)]
@@ -65,8 +65,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     if args.json {
         let mut object = as_json(&seen);
         object["links"] = json!(seen.found.n_links);
-        object["frames"] = json!(asked.map.n_frames_decoded());
-        print_json(&object)?;
+        asked.print_json(object)?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut out = stdout();

@@ -2,6 +2,7 @@
 
 use fastrand::Rng;
 use pvmap_query::{Light, Located, Map, QueryError, SurfelSet};
+use pvmap_vmap::container::BLOCK_BYTES;
 use pvmap_vmap::{Shape, Tree};
 
 use crate::common::{About, Cut, Parts, grow, random_links, random_points, siblings};
@@ -83,6 +84,12 @@ fn v5_walks_over_large_trees_find_what_pairs_find() {
     let map = Map::open(&file).unwrap();
     let n = tree.surfels.len() as u32;
     assert!(n > 10_000, "{n} leaves");
+    // A pair needs a few blocks of many.
+    let n_blocks = (file.len() / BLOCK_BYTES as usize) as u64;
+    let before = map.view().file().n_blocks_read();
+    map.pair(&at(&tree, 0), &at(&tree, n / 2)).unwrap();
+    let n_read = map.view().file().n_blocks_read() - before;
+    assert!(0 < n_read && 4 * n_read < n_blocks, "{n_read} of {n_blocks}");
     let asked: Vec<u32> = (0..12).map(|_| rng.u32(..n)).collect();
     let found: Vec<SurfelSet> =
         asked.iter().map(|&a| map.visible_from(&at(&tree, a)).unwrap().surfels).collect();
@@ -114,6 +121,7 @@ fn d11_what_the_first_leaf_sees_is_in_the_frames_of_the_nodes_over_it() {
     assert!(map.view().n_link_blocks() > 20 * needed, "{needed}");
     map.visible_from(&leaf).unwrap();
     assert!(map.n_frames_decoded() <= needed, "{} of {needed}", map.n_frames_decoded());
+    assert!(map.view().file().n_blocks_read() > 0);
 }
 
 #[test]
