@@ -346,4 +346,20 @@ mod tests {
             assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));
         }
     }
+
+    #[test]
+    fn a_block_takes_no_more_than_it_may_whatever_its_rows_are() {
+        // Cells without a letter take bytes, too.
+        let text = format!("a,b\n{}", format!("{}\n", ",".repeat(1000)).repeat(500));
+        let input = Box::new(io::Cursor::new(text.into_bytes()));
+        let mut rows = Rows::of(input, Path::new("rows.csv")).unwrap();
+        let (mut n_rows, mut n_blocks, mut goes_on) = (0, 0, true);
+        while goes_on {
+            let mut block = RowBlock::default();
+            goes_on = rows.read_block(1 << 16, 100_000, &mut block).unwrap();
+            assert!(block.held_bytes() < 100_000 + 4 * 1002, "{}", block.held_bytes());
+            (n_rows, n_blocks) = (n_rows + block.len(), n_blocks + 1);
+        }
+        assert_eq!((n_rows, n_blocks >= 20), (500, true), "{n_blocks} blocks");
+    }
 }

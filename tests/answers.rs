@@ -208,3 +208,25 @@ fn f42_a_query_that_meets_a_flipped_block_names_it_and_others_are_answered() {
     bench.line("export flipped.vmap --nodes N.csv --links L.csv").ok();
     bench.line("info flipped.vmap").ok();
 }
+
+#[test]
+fn a_row_has_its_answer_while_the_next_is_not_there_yet() {
+    use std::io::{BufRead, BufReader, Write};
+    let bench = room();
+    let mut command = bench.command(["query", "room.vmap", "pairs", "-"]);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut rows = child.stdin.take().unwrap();
+    let mut answers = BufReader::new(child.stdout.take().unwrap()).lines();
+    rows.write_all(b"x1,y1,z1,x2,y2,z2\n").unwrap();
+    for _ in 0..3 {
+        rows.write_all(b"-0.5,-0.5,-1,0.5,0.5,1\n").unwrap();
+        let mut line = answers.next().unwrap().unwrap();
+        if line.starts_with("visible") {
+            line = answers.next().unwrap().unwrap();
+        }
+        assert!(line.starts_with("1,"), "{line}");
+    }
+    drop(rows);
+    assert!(child.wait().unwrap().success());
+}
