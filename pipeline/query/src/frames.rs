@@ -99,7 +99,7 @@ impl<'m, 'a> Lookup<'m, 'a> {
     /// Says whether (a, b), a < b, is a link.
     pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
         if let Some(all) = self.all {
-            return Ok(all.partners_of(a).binary_search(&b).is_ok());
+            return Ok(all.contains((a, b)));
         }
         if !self.is_at((a, b)) {
             let index = self.view.link_block_from(a, b)?;

@@ -5,9 +5,9 @@ use crate::error::QueryError;
 use crate::leaves::Leaves;
 use crate::map::Map;
 
-/// The most nodes that are kept: 64 MiB of their parents and of where their lists start, at the
-/// most 256 MiB of leaves.
-const MAX_NODES: u32 = 1 << 23;
+/// The most nodes that are kept: 32 MiB of their parents and of where their lists start, some
+/// 400 MiB of leaves.
+const MAX_NODES: u32 = 1 << 22;
 
 /// Leaves in memory, and links where they are not too many.
 #[derive(Debug)]
@@ -18,8 +18,8 @@ pub(crate) struct Kept {
 
 impl Map<'_> {
     /// Reads leaves and links into memory, where later questions find them several times faster:
-    /// some thirty bytes a surfel, eight a node, four a link. Leaves out links that are more than
-    /// 16 million, and reads nothing of more than 8 million nodes; says whether all is in memory
+    /// some hundred bytes a surfel, eight a node, five a link. Leaves out links that are more than
+    /// 16 million, and reads nothing of more than 4 million nodes; says whether all is in memory
     /// now. Threads are those of the current rayon pool.
     ///
     /// # Errors

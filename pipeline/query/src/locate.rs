@@ -85,6 +85,28 @@ struct Fit {
     surfel: u32,
 }
 
+/// What says how well a surfel answers for a place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Answering {
+    /// The box that distances are taken to.
+    around: Box3,
+    centroid: [u32; 3],
+    normal: Normal,
+    two_sided: bool,
+    half_spacing: u32,
+}
+
+impl Answering {
+    pub(crate) fn of(surfel: &Surfel, profile: Profile) -> Answering {
+        let around = match profile {
+            Profile::Patch => surfel.patch,
+            Profile::Paper => points_box(surfel),
+        };
+        let Surfel { centroid, normal, two_sided, half_spacing, .. } = *surfel;
+        Answering { around, centroid, normal, two_sided, half_spacing }
+    }
+}
+
 /// A surfel with its leaf and its fit.
 #[derive(Debug, Clone, Copy)]
 struct Found {
@@ -158,13 +180,9 @@ impl Map<'_> {
         let Some(kept) = self.kept() else {
             return self.best(target, |node| holds(&node.cell(), target.g).then_some(0));
         };
-        let mut best: Option<Found> = None;
-        kept.leaves.holding(target.g, |surfel, node| {
-            let found = self.fit(target, node, surfel, &self.surfel(surfel)?);
-            best = best.into_iter().chain([found]).min_by_key(|found| found.fit);
-            Ok::<_, FormatError>(())
-        })?;
-        Ok(best)
+        let found = kept.leaves.holding(target.g);
+        let found = found.map(|(surfel, node, answering)| fit(target, node, surfel, answering));
+        Ok(found.min_by_key(|found| found.fit))
     }
 
     /// Finds the best of all leaves.
@@ -210,30 +228,8 @@ impl Map<'_> {
 
     /// Says how well a leaf answers.
     fn judge(&self, target: &Target, id: u32, leaf: &Node) -> Result<Found, FormatError> {
-        Ok(self.fit(target, id, leaf.first_surfel, &self.surfel_of(id, leaf)?))
-    }
-
-    /// Says how well a surfel answers.
-    fn fit(&self, target: &Target, node: u32, id: u32, surfel: &Surfel) -> Found {
-        let g = target.g.map(|v| v as i32);
-        let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(surfel.centroid[i]));
-        let along = dot(surfel.normal, target.normal.unwrap_or_default().map(i64::from));
-        let fit = Fit {
-            distance2: self.answering_box(surfel).distance2(g),
-            // The sign of a two-sided surfel's normal says nothing.
-            along: Reverse(if surfel.two_sided { along.abs() } else { along }),
-            off_plane: dot(surfel.normal, off).unsigned_abs(),
-            surfel: id,
-        };
-        Found { fit, node, half_spacing: surfel.half_spacing }
-    }
-
-    /// Gives the box that distances to a surfel are taken to.
-    fn answering_box(&self, surfel: &Surfel) -> Box3 {
-        match self.profile() {
-            Profile::Patch => surfel.patch,
-            Profile::Paper => points_box(surfel),
-        }
+        let answering = Answering::of(&self.surfel_of(id, leaf)?, self.profile());
+        Ok(fit(target, id, leaf.first_surfel, &answering))
     }
 
     /// Lets a surfel answer if it is within the snap limit.
@@ -252,6 +248,22 @@ impl Map<'_> {
         }
         Ok(Located { surfel: found.fit.surfel, node: found.node, distance })
     }
+}
+
+/// Says how well a surfel answers.
+fn fit(target: &Target, node: u32, surfel: u32, answering: &Answering) -> Found {
+    let Answering { around, centroid, normal, two_sided, half_spacing } = *answering;
+    let g = target.g.map(|v| v as i32);
+    let off = [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(centroid[i]));
+    let along = dot(normal, target.normal.unwrap_or_default().map(i64::from));
+    let fit = Fit {
+        distance2: around.distance2(g),
+        // The sign of a two-sided surfel's normal says nothing.
+        along: Reverse(if two_sided { along.abs() } else { along }),
+        off_plane: dot(normal, off).unsigned_abs(),
+        surfel,
+    };
+    Found { fit, node, half_spacing }
 }
 
 /// Decides whether a closed cell holds a place.

@@ -2,8 +2,7 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use pvmap::query::exact::{Disagreement, Exact};
 use pvmap::query::{ErrorKind, Located, PairAnswer, Place, QueryError, Snap};
@@ -65,7 +64,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             PlaceColumns::find(header, ["x2", "y2", "z2"], ["nx2", "ny2", "nz2"], EXPECTED)?,
         ])
     })?;
-    let pairs = Pairs { asked, columns, snap: snap_of(args.snap), is_kept: AtomicBool::new(false) };
+    let pairs = Pairs { asked, columns, snap: snap_of(args.snap), is_kept: OnceLock::new() };
     if !args.points.exact {
         return batch::answer(rows, &pairs, args.json);
     }
@@ -121,8 +120,8 @@ struct Pairs<'q, 'm, 'a> {
     asked: &'q Asked<'m, 'a>,
     columns: [PlaceColumns; 2],
     snap: Snap,
-    /// Whether the map is in memory: then rows are answered in any order.
-    is_kept: AtomicBool,
+    /// Whether the map is in memory, once that was tried: then rows are answered in any order.
+    is_kept: OnceLock<bool>,
 }
 
 impl Batch for Pairs<'_, '_, '_> {
@@ -138,9 +137,8 @@ impl Batch for Pairs<'_, '_, '_> {
             Ok((located(&a)?, located(&b)?))
         };
         // A damaged map is the error of the rows that meet the damage.
-        let keep = || rows.len() == batch::BLOCK_ROWS && map.keep().unwrap_or(false);
-        if self.is_kept.load(Ordering::Relaxed) || keep() {
-            self.is_kept.store(true, Ordering::Relaxed);
+        let keep = || *self.is_kept.get_or_init(|| map.keep().unwrap_or(false));
+        if rows.len() == batch::BLOCK_ROWS && keep() {
             return batch::each(rows, |row| {
                 let (a, b) = locate(row)?;
                 Ok((a, b, self.asked.of_row(map.pair(&a, &b))?))
