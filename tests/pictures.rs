@@ -8,8 +8,8 @@ use pvmap::geometry::Frame;
 use pvmap::query::exact::{Exact, ExactOptions};
 use pvmap::query::{Map, Place, QueryError, Snap, SurfelSet};
 use pvmap::render::{
-    Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Size, Source, Style, VIOLET, Values,
-    View, ramp, render, srgb,
+    Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Seen, Size, Source, Style, VIOLET,
+    Values, View, ramp, render, srgb,
 };
 use pvmap::scene::{Mesh, Scene};
 use pvmap::scenes;
@@ -53,8 +53,10 @@ fn a_point_has_the_colour_of_its_surfel() {
         let seen = map.visible_from(&at).unwrap().surfels;
         let is_seen = |id: u32| seen.contains(id);
         let numbers = Values::new((0..n_surfels).map(|id| id as f32).collect());
-        let paints =
-            [Paint::new(ColorBy::Rgb, Some(&is_seen)), Paint::new(ColorBy::Values(numbers), None)];
+        let paints = [
+            Paint::new(ColorBy::Rgb, Some(Seen::Surfels(&is_seen))),
+            Paint::new(ColorBy::Values(numbers), None),
+        ];
         let n_points = octree.summary().n_points;
         let surfels: Vec<u32> = octree
             .points(0, n_points)
@@ -89,13 +91,19 @@ fn a_point_has_the_colour_of_its_surfel() {
             assert!(i == 1 || (n / 4..n * 9 / 10).contains(&n_violet), "{n_violet} of {n}");
         }
         assert!(
-            OctreeSplats::new(octree, None, Paint::new(ColorBy::Rgb, Some(&is_seen)), 1.0).is_err()
+            OctreeSplats::new(
+                octree,
+                None,
+                Paint::new(ColorBy::Rgb, Some(Seen::Surfels(&is_seen))),
+                1.0
+            )
+            .is_err()
         );
     });
 }
 
 #[test]
-fn asked_of_the_points_each_surfel_has_the_verdict_of_its_nearest() {
+fn asked_of_the_points_each_surfel_has_the_verdict_of_its_nearest_and_each_point_its_own() {
     let bench = needle_room("6k");
     with_both(&bench, |map, octree| {
         let exact = Exact::new(octree, ExactOptions::usual(map).unwrap());
@@ -120,6 +128,21 @@ fn asked_of_the_points_each_surfel_has_the_verdict_of_its_nearest() {
         let n_other = (0..n_surfels).filter(|&id| found.contains(id) != by_leaves.contains(id));
         assert!((1..n_surfels as usize / 8).contains(&n_other.count()));
         let stopped = exact.visible_from(map, &eye, &at, &|_| false);
+        assert_eq!(stopped, Err(QueryError::Stopped));
+
+        let n_points = octree.summary().n_points;
+        let told = std::sync::atomic::AtomicU64::new(0);
+        let tell = |n| {
+            told.fetch_add(n, std::sync::atomic::Ordering::Relaxed);
+            true
+        };
+        let points = exact.points_visible_from(&eye, &tell).unwrap();
+        assert_eq!(told.into_inner(), n_points);
+        let sees = |i: u64| exact.pair(&eye, &exact.point(i).unwrap()).unwrap().visible;
+        assert!((0..n_points).all(|i| points.contains(i) == sees(i)));
+        assert_eq!(points.len(), (0..n_points).filter(|&i| points.contains(i)).count() as u64);
+        assert!(!points.contains(n_points) && (1..n_points).contains(&points.len()));
+        let stopped = exact.points_visible_from(&eye, &|_| false);
         assert_eq!(stopped, Err(QueryError::Stopped));
     });
 }
@@ -258,19 +281,19 @@ fn shadows_are_where_they_should_be(bench: &Bench) {
         let exact = Exact::new(octree, wide);
         let picture = |eye: &Place, of_points: bool| {
             let at = map.locate(eye, Snap::default()).unwrap();
-            let seen = match of_points {
-                false => map.visible_from(&at).unwrap().surfels,
+            match of_points {
+                false => {
+                    let seen = map.visible_from(&at).unwrap().surfels;
+                    let is_seen = |id: u32| seen.contains(id);
+                    let paint = Paint::new(ColorBy::Rgb, Some(Seen::Surfels(&is_seen)));
+                    violet_of(&MapSplats::new(view, paint, 1.0).unwrap(), frame)
+                }
                 true => {
                     let point = exact.nearest(eye).unwrap().point;
-                    exact.visible_from(map, &point, &at, &|_| true).unwrap()
-                }
-            };
-            let is_seen = |id: u32| seen.contains(id);
-            let paint = Paint::new(ColorBy::Rgb, Some(&is_seen));
-            match of_points {
-                false => violet_of(&MapSplats::new(view, paint, 1.0).unwrap(), frame),
-                true => {
-                    violet_of(&OctreeSplats::new(octree, Some(view), paint, 1.0).unwrap(), frame)
+                    let seen = exact.points_visible_from(&point, &|_| true).unwrap();
+                    let is_seen = |index: u64| seen.contains(index);
+                    let paint = Paint::new(ColorBy::Rgb, Some(Seen::Points(&is_seen)));
+                    violet_of(&OctreeSplats::new(octree, None, paint, 1.0).unwrap(), frame)
                 }
             }
         };

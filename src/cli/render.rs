@@ -8,7 +8,7 @@ use pvmap::geometry::Frame;
 use pvmap::query::Map;
 use pvmap::render::{
     Camera, Clipped, ColorBy, MAX_SIDE_PX, MapSplats, OctreeSplats, Paint, Picture, RenderError,
-    Source, Style, Values, held_bytes, render,
+    Seen, Source, Style, Values, held_bytes, render,
 };
 use pvmap::vmap::container::kind_of;
 use pvmap::vmap::octree::FILE_NAME;
@@ -16,6 +16,7 @@ use pvmap::vmap::{Kind, MapView, OctreeView};
 use pvmap::{Error, Limits, StoreError, TableFile, Watch, memory, require_pair};
 
 use self::args::{ColorName, Cull};
+use self::eye::{Scan, Sees};
 use super::exact::Points;
 use super::{Context, Outcome, map_file, refuse_input};
 
@@ -136,11 +137,26 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
         None => Error::of_query(path, e),
     };
     let eye = match args.visible_from {
-        Some(place) => Some(eye::look(args, place, &map, octree.as_ref(), context, of_eye)?),
+        Some(place) => {
+            let (octree, draws_points) = (octree.as_ref(), drawn.is_some());
+            let scan = Scan { map: &map, octree, draws_points };
+            Some(eye::look(args, place, scan, context, of_eye)?)
+        }
         None => None,
     };
-    let is_seen = |id: u32| eye.as_ref().is_some_and(|eye| eye.seen.contains(id));
-    let paint = Paint::new(color_by, eye.is_some().then_some(&is_seen));
+    let (of_surfel, of_point);
+    let seen = match eye.as_ref().map(|eye| &eye.sees) {
+        Some(Sees::Surfels(seen)) => {
+            of_surfel = |id| seen.contains(id);
+            Some(Seen::Surfels(&of_surfel))
+        }
+        Some(Sees::Points(seen)) => {
+            of_point = |index| seen.contains(index);
+            Some(Seen::Points(&of_point))
+        }
+        None => None,
+    };
+    let paint = Paint::new(color_by, seen);
     let ends = paint.values().map(|values| (values.min, values.max));
     let splats = splats_of(args, view, drawn, paint).map_err(fail)?;
     let mut picture = draw(args, &*splats, &camera, context).map_err(fail)?;

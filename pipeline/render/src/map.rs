@@ -91,7 +91,7 @@ impl Source for MapSplats<'_> {
             }
             let normal = unit(surfel.normal);
             let scanned = surfel.color.map(|color| color.map(|v| f32::from(v) / 65535.0));
-            let sample = Sample { surfel: Some(id), scanned, normal, bin: surfel.bin };
+            let sample = Sample { surfel: Some(id), point: None, scanned, normal, bin: surfel.bin };
             out.push(Splat {
                 centre: surfel.centroid.map(|v| v as f32),
                 normal,

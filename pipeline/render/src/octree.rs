@@ -87,7 +87,7 @@ impl Source for OctreeSplats<'_> {
         let first = out.len();
         // It remembers leaves, and points come in Morton order.
         let mut router = self.map.map(Router::new);
-        for point in points.iter() {
+        for (index, point) in (range.start..).zip(points.iter()) {
             let point = point?;
             let surfel = match &mut router {
                 Some(router) => {
@@ -98,7 +98,8 @@ impl Source for OctreeSplats<'_> {
             };
             let normal = unit(point.key.normal);
             let scanned = self.scanned(point.record);
-            let sample = Sample { surfel, scanned, normal, bin: point.key.bin() as i8 };
+            let bin = point.key.bin() as i8;
+            let sample = Sample { surfel, point: Some(index), scanned, normal, bin };
             let color = self.paint.color(&sample);
             places.push(point.key.g);
             let centre = point.key.g.map(|v| v as f32);

@@ -4,10 +4,16 @@ use crate::color::{Rgb, VIOLET, gray, of_bin, of_normal, ramp, srgb};
 use crate::error::RenderError;
 use crate::source::{ColorBy, Values};
 
-/// Says whether a surfel is seen.
-pub type Seen<'a> = &'a (dyn Fn(u32) -> bool + Sync);
+/// Says what is seen.
+#[derive(Clone, Copy)]
+pub enum Seen<'a> {
+    /// Which surfels, by their ids; a point is seen where its surfel is.
+    Surfels(&'a (dyn Fn(u32) -> bool + Sync)),
+    /// Which points, by their places in the order of the octree; a surfel is not seen.
+    Points(&'a (dyn Fn(u64) -> bool + Sync)),
+}
 
-/// Colours surfels and points: the same for both, so that a point is violet where its surfel is.
+/// Colours surfels and points.
 #[derive(Clone)]
 pub struct Paint<'a> {
     color_by: ColorBy,
@@ -19,6 +25,8 @@ pub struct Paint<'a> {
 pub(crate) struct Sample {
     /// The surfel, or that of the point; none where no map says.
     pub(crate) surfel: Option<u32>,
+    /// The point's place in the order of the octree; none for a surfel.
+    pub(crate) point: Option<u64>,
     /// In linear light; none where it was not recorded.
     pub(crate) scanned: Option<Rgb>,
     /// Of length 1, or zero.
@@ -48,7 +56,7 @@ impl<'a> Paint<'a> {
 
     /// Says whether a colour needs the surfel.
     pub(crate) fn needs_surfel(&self) -> bool {
-        self.seen.is_some() || self.values().is_some()
+        matches!(self.seen, Some(Seen::Surfels(_))) || self.values().is_some()
     }
 
     /// Says whether colours are the scan's.
@@ -68,9 +76,12 @@ impl<'a> Paint<'a> {
 
     /// Gives the colour.
     pub(crate) fn color(&self, of: &Sample) -> Rgb {
-        if let (Some(seen), Some(surfel)) = (self.seen, of.surfel)
-            && seen(surfel)
-        {
+        let is_seen = match self.seen {
+            Some(Seen::Surfels(seen)) => of.surfel.is_some_and(seen),
+            Some(Seen::Points(seen)) => of.point.is_some_and(seen),
+            None => false,
+        };
+        if is_seen {
             return srgb(VIOLET);
         }
         let share = |values: &Values| values.share(of.surfel? as usize);

@@ -2,8 +2,8 @@
 //!
 //! No map takes part: [`Exact`] asks the octree. `cells` are its cells with their points,
 //! `occluders` walks those near a segment, `nearest` leads from a place to a point of the scan,
-//! `visible_from` asks about every surfel of a map, `disagreement` counts where the answers of a
-//! map and of its points differ.
+//! `visible_from` asks about every point or every surfel of a map, `disagreement` counts where the
+//! answers of a map and of its points differ.
 //! Source: Goradia et al. 2007 §3; DESIGN.md [V-7].
 
 mod cells;
@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use self::cells::Cells;
 pub use self::disagreement::{Disagreement, LocatedPair, compare};
 pub use self::nearest::Nearest;
+pub use self::visible_from::PointSet;
 use crate::error::QueryError;
 use crate::map::Map;
 

@@ -1,4 +1,6 @@
-//! All that a point sees, surfel by surfel. Source: DESIGN.md [V-7].
+//! All that a point sees: surfel by surfel, or point by point. Source: DESIGN.md [V-7].
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -8,8 +10,38 @@ use crate::locate::{Located, Target};
 use crate::map::Map;
 use crate::set::SurfelSet;
 
-/// Surfels that a thread asks about before it says how far it is: some milliseconds.
-const PIECE_SURFELS: u32 = 64;
+/// Points that a thread asks about before it says how far it is: some milliseconds, and the bits of
+/// a word.
+const PIECE_POINTS: u64 = 64;
+
+/// Which points of an octree are in it, by their places in its order: a bit each.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PointSet {
+    words: Vec<u64>,
+}
+
+impl PointSet {
+    /// Says how much memory the set takes of so many points.
+    pub fn held_bytes(n_points: u64) -> u64 {
+        n_points.div_ceil(PIECE_POINTS) * size_of::<u64>() as u64
+    }
+
+    /// Says whether a point is in the set.
+    pub fn contains(&self, index: u64) -> bool {
+        let word = self.words.get((index / PIECE_POINTS) as usize);
+        word.is_some_and(|word| word >> (index % PIECE_POINTS) & 1 == 1)
+    }
+
+    /// Counts the points.
+    pub fn len(&self) -> u64 {
+        self.words.iter().map(|word| u64::from(word.count_ones())).sum()
+    }
+
+    /// Says whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
 
 impl Exact<'_, '_> {
     /// Decides for every surfel of a map whether the point that stands for it sees `eye`, and
@@ -34,24 +66,43 @@ impl Exact<'_, '_> {
     ) -> Result<SurfelSet, QueryError> {
         self.require_map(map)?;
         let n_surfels = map.view().summary().n_surfels;
-        let pieces: Vec<u32> = (0..n_surfels).step_by(PIECE_SURFELS as usize).collect();
-        let decide = |first: u32| {
-            let piece = first..n_surfels.min(first.saturating_add(PIECE_SURFELS));
-            let n = u64::from(piece.end - piece.start);
-            // After a no every piece ends before it begins.
-            if !tell(0) {
-                return Err(QueryError::Stopped);
-            }
+        let pieces = in_pieces(n_surfels.into(), tell, |piece| {
             let mut seen = Vec::new();
-            for id in piece {
+            for id in piece.start as u32..piece.end as u32 {
                 if id == own.surfel || self.pair(eye, &self.point_of(map, id)?)?.visible {
                     seen.push(id..id + 1);
                 }
             }
-            if tell(n) { Ok(seen) } else { Err(QueryError::Stopped) }
-        };
-        let found: Result<Vec<_>, QueryError> = pieces.into_par_iter().map(decide).collect();
-        Ok(SurfelSet::of(found?.into_iter().flatten().collect()))
+            Ok(seen)
+        });
+        Ok(SurfelSet::of(pieces?.into_iter().flatten().collect()))
+    }
+
+    /// Decides for every point of the octree whether it sees `eye`, and gives those that do.
+    ///
+    /// `tell` gets the number of points decided and says whether to go on. Threads are those of
+    /// the current rayon pool. Holds [`PointSet::held_bytes`].
+    ///
+    /// # Errors
+    /// Where what is read of the octree is damaged, or `tell` says no.
+    pub fn points_visible_from(
+        &self,
+        eye: &StoredPoint,
+        tell: &(dyn Fn(u64) -> bool + Sync),
+    ) -> Result<PointSet, QueryError> {
+        let words = in_pieces(self.octree.summary().n_points, tell, |piece| {
+            let (first, n) = (piece.start, piece.end - piece.start);
+            let points = self.octree.points(first, n).map_err(QueryError::Octree)?;
+            let mut word = 0;
+            for (i, point) in points.iter().enumerate() {
+                let key = point.map_err(QueryError::Octree)?.key;
+                let (g, normal, oriented) = (key.g, key.normal, key.oriented);
+                let point = StoredPoint { index: first + i as u64, g, normal, oriented };
+                word |= u64::from(self.pair(eye, &point)?.visible) << i;
+            }
+            Ok(word)
+        });
+        Ok(PointSet { words: words? })
     }
 
     /// Finds the point that stands for a surfel.
@@ -61,4 +112,25 @@ impl Exact<'_, '_> {
         let target = Target { g: surfel.centroid, normal };
         self.nearest_to(&target).map(|(_, point)| point)
     }
+}
+
+/// Decides things in pieces on all threads, telling after each how many it was of.
+fn in_pieces<T: Send>(
+    n: u64,
+    tell: &(dyn Fn(u64) -> bool + Sync),
+    decide: impl Fn(Range<u64>) -> Result<T, QueryError> + Sync,
+) -> Result<Vec<T>, QueryError> {
+    let n_pieces = n.div_ceil(PIECE_POINTS) as usize;
+    let pieces = (0..n_pieces).into_par_iter().map(|i| {
+        let first = i as u64 * PIECE_POINTS;
+        let piece = first..n.min(first + PIECE_POINTS);
+        let n_decided = piece.end - piece.start;
+        // After a no every piece ends before it begins.
+        if !tell(0) {
+            return Err(QueryError::Stopped);
+        }
+        let decided = decide(piece)?;
+        if tell(n_decided) { Ok(decided) } else { Err(QueryError::Stopped) }
+    });
+    pieces.collect()
 }
