@@ -11,7 +11,7 @@ use std::time::Instant;
 use pvmap::geometry::Frame;
 use pvmap::render::{
     Camera, ColorBy, Lens, MapSplats, OctreeSplats, Paint, Picture, Side, Size, Source, Style,
-    View, bounds, render,
+    View, render,
 };
 use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
@@ -69,9 +69,8 @@ fn main() -> anyhow::Result<()> {
         let mut views = vec![("inside", INSIDE)];
         draw(&mut |splats, frame| {
             n_splats = splats.n_splats();
-            let around = bounds(splats)?.unwrap_or_default();
             let lens = Lens::Perspective { fov_deg: 40.0 };
-            let outside = View::of_box(around, Side::Corner, [0.0, 0.0, 1.0], lens, SIZE, frame)?;
+            let outside = View::fitting(splats, Side::Corner, [0.0, 0.0, 1.0], lens, SIZE, frame)?;
             views.push(("outside", outside));
             let covered = covered(&picture(splats, frame, &INSIDE)?);
             anyhow::ensure!(covered > 0.999, "{name}: only {covered} covered from within");

@@ -3,12 +3,10 @@
 use pvmap_geometry::Frame;
 
 use crate::error::RenderError;
-use crate::vector::{Vector, add_scaled, cross, direction, dot, sub};
+use crate::vector::{Vector, cross, direction, dot, sub};
 
 /// The largest side of a picture.
 pub const MAX_SIDE_PX: u32 = 1 << 14;
-/// A default view leaves this share of the picture free around the scan.
-const MARGIN: f64 = 0.04;
 /// Up and ahead must differ by more than this (the sine of their angle).
 const MIN_SINE: f64 = 1e-6;
 
@@ -34,25 +32,6 @@ pub enum Lens {
         /// More than 0.
         width: f64,
     },
-}
-
-/// From which side a default view looks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
-    /// From the front, above and a little to the right.
-    Corner,
-    /// Along the horizontal axis that comes towards the viewer, seen from where up is up.
-    Front,
-    /// The other way.
-    Back,
-    /// From the left.
-    Left,
-    /// From the right.
-    Right,
-    /// From above.
-    Top,
-    /// From below.
-    Bottom,
 }
 
 /// Where a camera stands and looks, in world units.
@@ -152,6 +131,11 @@ impl Camera {
         self.is_perspective
     }
 
+    /// Gives the directions of the picture's right and lower edge.
+    pub(crate) fn across(&self) -> [Vector; 2] {
+        [self.right, self.down]
+    }
+
     /// Turns a direction into right, down, ahead.
     pub(crate) fn turn(&self, v: Vector) -> Vector {
         [dot(v, self.right), dot(v, self.down), dot(v, self.ahead)]
@@ -197,104 +181,4 @@ impl Camera {
 pub(crate) fn grid_of(frame: &Frame) -> (Vector, f64) {
     let unit = if frame.unit() > 0.0 { frame.unit() } else { 1.0 };
     (frame.world_of_real([0.0; 3]), unit)
-}
-
-impl View {
-    /// Looks at a box (least and greatest corner in grid steps) from a side, so that it fits the
-    /// picture. An orthographic lens keeps its width if that is more than 0, else gets one that
-    /// fits.
-    ///
-    /// # Errors
-    /// Where `up` is no direction.
-    pub fn of_box(
-        around: [[f64; 3]; 2],
-        side: Side,
-        up: [f64; 3],
-        lens: Lens,
-        size: Size,
-        frame: &Frame,
-    ) -> Result<View, RenderError> {
-        let (origin, unit) = grid_of(frame);
-        let [min, max] = around.map(|g| add_scaled(origin, g, unit));
-        let middle = [0, 1, 2].map(|i| (min[i] + max[i]) / 2.0);
-        let (back, picture_up) = axes(side, up)?;
-        let right = direction(cross(picture_up, back)).ok_or(RenderError::NoUp)?;
-        let upward = cross(back, right);
-        let half_sides = [f64::from(size.width_px), f64::from(size.height_px)].map(|v| v / 2.0);
-        let free = 1.0 - 2.0 * MARGIN;
-        let (mut distance, mut needed) = (unit, [unit; 2]);
-        for x in corners([min, max]) {
-            let off = sub(x, middle);
-            let (across, height, near) =
-                (dot(off, right).abs(), dot(off, upward).abs(), dot(off, back));
-            needed = [needed[0].max(across), needed[1].max(height)];
-            distance = match lens {
-                Lens::Perspective { fov_deg } => {
-                    let slope = (fov_deg.to_radians() / 2.0).tan() * free;
-                    let slopes = [slope * half_sides[0] / half_sides[1], slope];
-                    distance.max(near + across / slopes[0]).max(near + height / slopes[1])
-                }
-                Lens::Orthographic { .. } => distance.max(2.0 * near.abs()),
-            };
-        }
-        let lens = match lens {
-            Lens::Orthographic { width } if width <= 0.0 => Lens::Orthographic {
-                width: 2.0 * needed[0].max(needed[1] * half_sides[0] / half_sides[1]) / free,
-            },
-            lens => lens,
-        };
-        // Where a default picture has no depth at all, any distance will do.
-        let distance = distance + unit;
-        Ok(View { eye: add_scaled(middle, back, distance), target: middle, up: picture_up, lens })
-    }
-}
-
-impl View {
-    /// Gives the width with which an orthographic picture from here holds a box (least and
-    /// greatest corner in grid steps); its middle stays where the view has it.
-    ///
-    /// # Errors
-    /// Where there is no such view.
-    pub fn width_of_box(
-        &self,
-        around: [[f64; 3]; 2],
-        size: Size,
-        frame: &Frame,
-    ) -> Result<f64, RenderError> {
-        let camera =
-            Camera::new(&View { lens: Lens::Orthographic { width: 1.0 }, ..*self }, size, frame)?;
-        let aspect = f64::from(size.width_px) / f64::from(size.height_px);
-        let mut needed: f64 = 1.0;
-        for corner in corners(around) {
-            let [right, down, _] = camera.place_of(corner);
-            needed = needed.max(right.abs()).max(down.abs() * aspect);
-        }
-        Ok(2.0 * needed * camera.unit / (1.0 - 2.0 * MARGIN))
-    }
-}
-
-/// Lists the corners of a box.
-fn corners([min, max]: [Vector; 2]) -> impl Iterator<Item = Vector> {
-    (0..8)
-        .map(move |i| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }))
-}
-
-/// Gives the direction from the middle to the eye, and what is up in the picture.
-fn axes(side: Side, up: [f64; 3]) -> Result<(Vector, Vector), RenderError> {
-    let up = direction(up).ok_or(RenderError::NoUp)?;
-    // Surveyors have z up and y away from them; modellers y up and z towards them.
-    let front = if up[2].abs() > 0.7 { [0.0, -1.0, 0.0] } else { [0.0, 0.0, 1.0] };
-    let right = direction(cross(up, front)).ok_or(RenderError::NoUp)?;
-    let front = cross(right, up);
-    let minus = |v: Vector| v.map(|v| -v);
-    let corner = add_scaled(add_scaled(front, right, 0.45), up, 0.55);
-    Ok(match side {
-        Side::Corner => (direction(corner).ok_or(RenderError::NoUp)?, up),
-        Side::Front => (front, up),
-        Side::Back => (minus(front), up),
-        Side::Left => (minus(right), up),
-        Side::Right => (right, up),
-        Side::Top => (up, minus(front)),
-        Side::Bottom => (minus(up), front),
-    })
 }

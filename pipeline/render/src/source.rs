@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use pvmap_geometry::Frame;
-use rayon::prelude::*;
 
 use crate::camera::grid_of;
 use crate::color::Rgb;
@@ -142,35 +141,4 @@ impl Values {
 pub(crate) fn chunks(range: Range<u64>) -> Vec<Range<u64>> {
     let starts = range.clone().step_by(CHUNK_SPLATS as usize);
     starts.map(|at| at..range.end.min(at + CHUNK_SPLATS)).collect()
-}
-
-/// Gives the least and the greatest corner of the middles of all splats, in grid steps; none
-/// where there are no splats.
-///
-/// # Errors
-/// Those of reading.
-pub fn bounds(source: &dyn Source) -> Result<Option<[[f64; 3]; 2]>, RenderError> {
-    let of_chunk = |range: Range<u64>| {
-        let mut splats = Vec::new();
-        source.read(range, &mut splats)?;
-        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for splat in &splats {
-            for i in 0..3 {
-                min[i] = min[i].min(splat.centre[i]);
-                max[i] = max[i].max(splat.centre[i]);
-            }
-        }
-        Ok([min, max])
-    };
-    let join = |a: [[f32; 3]; 2], b: [[f32; 3]; 2]| {
-        [[0, 1, 2].map(|i| a[0][i].min(b[0][i])), [0, 1, 2].map(|i| a[1][i].max(b[1][i]))]
-    };
-    let found: Option<Result<_, RenderError>> = chunks(0..source.n_splats())
-        .into_par_iter()
-        .map(of_chunk)
-        .reduce_with(|a, b| Ok(join(a?, b?)));
-    let found = found.transpose()?;
-    // A source may have splats and draw none of them.
-    let found = found.filter(|[min, max]| min[0] <= max[0]);
-    Ok(found.map(|corners| corners.map(|corner| corner.map(f64::from))))
 }

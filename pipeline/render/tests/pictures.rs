@@ -6,7 +6,7 @@ use std::ops::Range;
 use pvmap_geometry::{Frame, grid};
 use pvmap_render::{
     Camera, Clipped, Lens, Picture, RenderError, Shape, Side, Size, Source, Splat, Style, View,
-    bounds, held_bytes, render, srgb,
+    held_bytes, render, srgb,
 };
 
 /// Splats in memory.
@@ -345,19 +345,38 @@ fn a_default_view_holds_the_whole_scan() {
     });
     // No normals: they face every camera.
     let splats: Vec<Splat> = corners.map(|c| disc(c, [0.0; 3], 1.0, RED)).collect();
-    let around = bounds(&Few(splats.clone())).unwrap().unwrap();
-    assert_eq!(around, [[100.0, 50.0, 7.0], [900.0, 1500.0, 300.0]]);
     for (side, up) in sides.into_iter().flat_map(|s| [(s, [0.0, 0.0, 2.0]), (s, [0.0, 1.0, 0.0])]) {
         for lens in [Lens::Perspective { fov_deg: 40.0 }, Lens::Orthographic { width: 0.0 }] {
-            let view = View::of_box(around, side, up, lens, SIZE, &frame()).unwrap();
+            let all = Few(splats.clone());
+            let view = View::fitting(&all, side, up, lens, SIZE, &frame()).unwrap();
             let camera = Camera::new(&view, SIZE, &frame()).unwrap();
+            let what = format!("{side:?} {up:?} {lens:?}");
             for splat in &splats {
                 let picture = draw(std::slice::from_ref(splat), &camera, &PLAIN);
-                assert!(count(&picture) > 0, "{side:?} {up:?} {lens:?} {:?}", splat.centre);
+                assert!(count(&picture) > 0, "{what} {:?}", splat.centre);
             }
+            // Nowhere is more free than it must be: on one axis both edges are near.
+            let picture = draw(&splats, &camera, &PLAIN);
+            let covered = |x: u32, y: u32| picture.is_covered(x, y);
+            let free_x =
+                (0..SIZE.width_px).position(|x| (0..SIZE.height_px).any(|y| covered(x, y)));
+            let free_y =
+                (0..SIZE.height_px).position(|y| (0..SIZE.width_px).any(|x| covered(x, y)));
+            let share = |free: Option<usize>, all: u32| free.unwrap() as f64 / f64::from(all);
+            let least = share(free_x, SIZE.width_px).min(share(free_y, SIZE.height_px));
+            assert!(least < 0.06, "{what}: {least} is free");
         }
     }
-    assert_eq!(bounds(&Few(Vec::new())).unwrap(), None);
+    // Nothing is a picture, too.
+    let view = View::fitting(
+        &Few(Vec::new()),
+        Side::Corner,
+        [0.0, 0.0, 1.0],
+        Lens::Perspective { fov_deg: 40.0 },
+        SIZE,
+        &frame(),
+    );
+    Camera::new(&view.unwrap(), SIZE, &frame()).unwrap();
 }
 
 #[test]
@@ -410,16 +429,20 @@ fn what_is_clipped_is_not_there() {
     let all = Few(vec![at(950.0), at(1000.0), at(1050.0)]);
     let corners = [[1040.0, 0.0, 0.0], [960.0, 200.0, 2000.0]];
     let clipped = Clipped::new(Box::new(all), corners, &frame());
-    assert_eq!(bounds(&clipped).unwrap(), Some([[1000.0, 100.0, 1000.0]; 2]));
+    let mut drawn = Vec::new();
+    clipped.read(0..3, &mut drawn).unwrap();
+    assert_eq!(drawn, [at(1000.0)]);
     assert_eq!(clipped.n_splats(), 3);
 }
 
 #[test]
 fn an_orthographic_picture_from_a_place_holds_what_it_should() {
-    let around = [[900.0, 50.0, 950.0], [1010.0, 60.0, 1300.0]];
+    let splats = [[900.0, 50.0, 950.0], [1010.0, 60.0, 1300.0]]
+        .map(|c| disc(c, [0.0; 3], 1.0, RED))
+        .to_vec();
     let up = [0.0, 0.0, 1.0];
     let view = View { eye: EYE, target: [1000.0, 9.0, 1000.0], up, lens: SQUARE };
-    let width = view.width_of_box(around, SIZE, &frame()).unwrap();
+    let width = view.fitting_width(&Few(splats), SIZE, &frame()).unwrap();
     // 300 up from the middle, 4:3, and the margin.
     let expected = 2.0 * 300.0 * 4.0 / 3.0 / 0.92;
     assert!((width / expected - 1.0).abs() < 1e-6, "{width} {expected}");

@@ -2,7 +2,7 @@
 
 use pvmap::Watch;
 use pvmap::geometry::Frame;
-use pvmap::render::{Lens, RenderError, Side, Source, View, bounds};
+use pvmap::render::{Lens, RenderError, Side, Source, View};
 
 use super::Args;
 use super::args::ViewFrom;
@@ -18,11 +18,10 @@ pub(super) fn view_of(
         Some(width) => Lens::Orthographic { width },
         None => Lens::Perspective { fov_deg: args.fov },
     };
-    let around = || bounds(splats).map(|found| found.unwrap_or([[0.0; 3], [1.0; 3]]));
     if let Some([eye, target]) = args.camera {
         let mut view = View { eye, target, up: args.up, lens };
         if args.ortho == Some(0.0) {
-            let width = view.width_of_box(around()?, args.size, frame)?;
+            let width = view.fitting_width(splats, args.size, frame)?;
             view.lens = Lens::Orthographic { width };
         }
         return Ok(view);
@@ -36,7 +35,7 @@ pub(super) fn view_of(
         ViewFrom::Top => Side::Top,
         ViewFrom::Bottom => Side::Bottom,
     };
-    View::of_box(around()?, side, args.up, lens, args.size, frame)
+    View::fitting(splats, side, args.up, lens, args.size, frame)
 }
 
 /// Says where a view that was chosen is seen from, so that it can be refined.
