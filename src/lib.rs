@@ -42,7 +42,6 @@ pub mod accuracy;
 mod build;
 mod classes;
 pub mod config;
-mod counts;
 mod error;
 mod export;
 mod ingest;
@@ -50,11 +49,11 @@ mod limits;
 mod pairing;
 pub mod rows;
 pub mod scenes;
+mod told;
 
 pub use build::{Built, Checkpoints, build, build_with, open_octree};
 pub use classes::class_points;
 pub use config::BuildConfig;
-pub use counts::sees_counts;
 pub use error::Error;
 pub use export::{
     ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file, begin_table,
@@ -74,3 +73,4 @@ pub use pvmap_store::output::{TableFile, folder_of, is_stdout};
 pub use pvmap_store::{AtomicFile, ClosedFile, Mapped, Quiet, StoreError, Watch, memory};
 pub use pvmap_visibility::VisibilityError;
 pub use pvmap_vmap as vmap;
+pub use told::{sees_counts, visible_from_air};

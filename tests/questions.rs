@@ -57,6 +57,40 @@ fn what_a_place_sees_is_what_pairs_say() {
 }
 
 #[test]
+fn what_is_seen_from_the_air_is_what_a_lamp_there_lights() {
+    let bench = Bench::new();
+    bench.line("scene furnished --points 8k -o room.ply").ok();
+    bench.line("ingest room.ply").ok();
+    bench.line("build").ok();
+    let table = bench.line("query room.vmap visible-from 1.5,1.2,1.1 --air").ok().stdout;
+    assert!(table.starts_with("surfel,x,y,z,points\n"), "{table}");
+    let seen = cells(&table, 0);
+    let all = bench.line("query room.vmap sees-count").ok().stdout;
+    let mut rows = "x,y,z\n".to_owned();
+    for line in all.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        rows += &format!("{},{},{}\n", cells[1], cells[2], cells[3]);
+    }
+    bench.write("rows.csv", rows);
+    let lit = "query room.vmap shadow --rows rows.csv --light 1.5,1.2,1.1 --air";
+    let lit = cells(&bench.line(lit).ok().stdout, 0);
+    let ids = cells(&all, 0);
+    assert!((ids.len() / 4..ids.len()).contains(&seen.len()), "{} of {}", seen.len(), ids.len());
+    for (id, light) in ids.iter().zip(&lit) {
+        assert_eq!(seen.contains(id), light == "lit", "surfel {id}");
+    }
+    let answer = json(&bench.line("query room.vmap visible-from 1.5,1.2,1.1 --air --json").ok());
+    assert_eq!(answer["seen"], seen.len());
+    assert!(answer["surfel"].is_null(), "{answer}");
+    bench.write("places.csv", "x,y,z\n1.5,1.2,1.1\n0,0,inf\n");
+    let rows = bench.line("query room.vmap visible-from --rows places.csv --air").ok().stdout;
+    let expected = format!(",,{},{},", seen.len(), answer["points"]);
+    assert!(rows.lines().nth(1).unwrap().starts_with(&expected), "{rows}");
+    assert!(rows.lines().nth(2).unwrap().starts_with(",,,,,\""), "{rows}");
+    bench.line("query room.vmap visible-from 0,0,0 --air --snap 1").exits(2);
+}
+
+#[test]
 fn the_points_answer_beside_the_surfels() {
     let bench = Bench::new();
     bench.line("scene furnished --points 20k -o a.ply --seed 3").ok();

@@ -2,7 +2,7 @@
 
 use pvmap_geometry::PointBatch;
 use pvmap_geometry::normal::Normal;
-use pvmap_query::{Light, Located, Map, Place, QueryError, Snap};
+use pvmap_query::{Located, Map, Place, QueryError, Snap};
 use pvmap_scan::{FieldKind, ScalarField};
 use pvmap_store::Watch;
 use pvmap_vmap::schema::{ColumnType, Schema};
@@ -200,7 +200,7 @@ impl Values {
         for found in found {
             each.push(match found {
                 Found::Eye(located) => Value::Bits(seen_from(map, &located, watch)?),
-                Found::Lamp(position) => Value::Bits(lit_by(map, &Light::Air(position), watch)?),
+                Found::Lamp(position) => Value::Bits(lit_by(map, position, watch)?),
                 Found::Other(value) => value,
             });
         }

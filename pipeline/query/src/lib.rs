@@ -3,8 +3,9 @@
 //! [`Map`] wraps the bytes of a whole map file. [`Map::locate`] leads a place in world units to
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
-//! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`], [`Map::sees_counts`]
-//! how much every surfel sees. [`Map::region`] weighs the points around two places against each
+//! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`],
+//! [`Map::visible_from_air`] what a scanner there would see, [`Map::sees_counts`] how much every
+//! surfel sees. [`Map::region`] weighs the points around two places against each
 //! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
 //! place; [`exact::Exact`] asks the points of the octree whether two of them see each other
 //! ([V-7]). The room opens no file and prints nothing; it reads only the blocks a question needs,

@@ -4,13 +4,19 @@ use std::ops::Range;
 
 use pvmap_geometry::Box3;
 use pvmap_vmap::{Node, Surfel};
+use rayon::prelude::*;
 
 use crate::between::{Tally, Walk};
 use crate::error::QueryError;
 use crate::locate::Located;
 use crate::map::Map;
 use crate::part::Part;
+use crate::region::Sight;
 use crate::set::SurfelSet;
+use crate::shadow::Light;
+
+/// Surfels that a thread asks about before it says how far it is: some milliseconds.
+const PIECE_SURFELS: u32 = 64;
 
 /// What a located place sees.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,6 +57,48 @@ impl Map<'_> {
             n_links: n_links + earlier.n_links,
             n_nodes: n_nodes + earlier.n_nodes,
         })
+    }
+
+    /// Finds all surfels that are seen from a place in the air, where a scanner or a lamp may be:
+    /// those that [`Map::shadow`] says are lit by [`Light::Air`]. No link says so; a segment to
+    /// each surfel does.
+    ///
+    /// `tell` gets the number of surfels decided and says whether to go on. Threads are those of
+    /// the current rayon pool.
+    ///
+    /// # Errors
+    /// Where `eye` is no place, the map is damaged, or `tell` says no.
+    pub fn visible_from_air(
+        &self,
+        eye: [f64; 3],
+        tell: &(dyn Fn(u64) -> bool + Sync),
+    ) -> Result<VisibleSet, QueryError> {
+        let n_surfels = self.view().summary().n_surfels;
+        let piece = |first: u32| {
+            let end = n_surfels.min(first.saturating_add(PIECE_SURFELS));
+            let mut seen: Seen<true> = Seen::default();
+            // After a no every piece ends before it begins.
+            if !tell(0) {
+                return Err(QueryError::Stopped);
+            }
+            for id in first..end {
+                let surfel = self.view().surfel(id)?;
+                let place = Located { surfel: id, node: surfel.node, distance: 0.0 };
+                let found = self.shadow(&place, &Light::Air(eye))?;
+                seen.n_nodes += found.n_nodes;
+                if found.reaches == Sight::All {
+                    seen.ranges.push(id..id + 1);
+                    seen.n_points = seen.n_points.saturating_add(surfel.n_points);
+                }
+            }
+            if tell(u64::from(end - first)) { Ok(seen) } else { Err(QueryError::Stopped) }
+        };
+        let firsts = (0..n_surfels.div_ceil(PIECE_SURFELS)).into_par_iter();
+        let pieces = firsts.map(|i| piece(i * PIECE_SURFELS)).collect::<Result<Vec<_>, _>>()?;
+        let mut all: Seen<true> = Seen::default();
+        pieces.into_iter().for_each(|piece| all.join(piece));
+        let Seen { ranges, n_points, n_links, n_nodes } = all;
+        Ok(VisibleSet { surfels: SurfelSet::of(ranges), n_points, n_links, n_nodes })
     }
 }
 

@@ -61,7 +61,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     match &args.question {
         Question::Pair(args) => pair::run(&asked, args),
         Question::Pairs(args) => pairs::run(&asked, args),
-        Question::VisibleFrom(args) => visible_from::run(&asked, args),
+        Question::VisibleFrom(args) => visible_from::run(&asked, args, context),
         Question::SeesCount(args) => sees_count::run(&asked, args, context),
         Question::Region(args) => region::run(&asked, args),
         Question::Ray(args) => ray::run(&asked, args),

@@ -4,18 +4,22 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::Error;
-use pvmap::query::{Located, Place, QueryError, Snap, VisibleSet};
+use pvmap::query::{Located, Place, QueryError, VisibleSet};
 use pvmap::rows::RowBlock;
+use pvmap::{Error, Quiet, Watch};
 use serde_json::{Value, json};
 
 use super::batch::{self, Batch, RowError};
 use super::pairs::PlaceColumns;
-use super::{Asked, Outcome, parse_distance, parse_point, place, snap_of, stdout};
+use super::{Asked, Context, Outcome, parse_distance, parse_point, place, snap_of, stdout};
 
 /// Which surfels does a place see? That which it lies on is among them
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+A place lies on the surfel nearest to it. With --air it is one of a scanner, a camera or an eye in
+the air that looks everywhere; then a segment to each surfel decides, and not the links, which may
+take some seconds.
+
 Output columns, a row a surfel:
   surfel                        its id
   x y z                         its centre, in the scan's units
@@ -26,13 +30,15 @@ Input columns of --rows, by name in a header row, in any order, among others tha
   nx ny nz                      optional: normals that say which surface is meant
 
 Output columns of --rows, a row an input row:
-  surfel distance               the surfel that the place lies on, and how far from it
+  surfel distance               the surfel that the place lies on, and how far from it; empty
+                                with --air
   seen points                   how many surfels and points are seen
   ranges                        their ids, from-to with semicolons between
   error                         why there is no answer
 
 Examples:
   pvmap query grotto.vmap visible-from 1.5,2,0.3 > seen.csv
+  pvmap query grotto.vmap visible-from 1.5,2,1.7 --air > scanned.csv
   pvmap query grotto.vmap visible-from --rows rows.csv --json")]
 pub(super) struct Args {
     /// The place, in the scan's units
@@ -47,6 +53,9 @@ pub(super) struct Args {
     #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
     #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
+    /// The place is in the air
+    #[arg(long, conflicts_with_all = ["normal", "snap"])]
+    air: bool,
     /// Answer the rows of a CSV file, or of standard input for -
     #[arg(long, value_name = "ROWS.csv", conflicts_with_all = ["place", "normal"])]
     rows: Option<PathBuf>,
@@ -55,13 +64,13 @@ pub(super) struct Args {
     json: bool,
 }
 
-pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args, context: &Context) -> Outcome {
     let from = match (args.place, &args.rows) {
         (_, Some(rows)) => return table(asked, args, rows),
         (Some(position), None) => place(position, args.normal),
         _ => return Err(Error::Usage("give a place, or --rows".to_owned()).into()),
     };
-    let seen = asked.named(look(asked, &from, snap_of(args.snap)))?;
+    let seen = asked.named(look(asked, &from, args, &context.progress))?;
     if args.json {
         let mut object = as_json(&seen);
         object["links"] = json!(seen.found.n_links);
@@ -81,21 +90,31 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
 
 /// What a place sees.
 struct Seen {
-    from: Located,
+    /// None in the air.
+    from: Option<Located>,
     found: VisibleSet,
 }
 
-fn look(asked: &Asked<'_, '_>, from: &Place, snap: Snap) -> Result<Seen, QueryError> {
-    let from = asked.map.locate(from, snap)?;
+fn look(
+    asked: &Asked<'_, '_>,
+    from: &Place,
+    args: &Args,
+    watch: &dyn Watch,
+) -> Result<Seen, QueryError> {
+    if args.air {
+        let found = pvmap::visible_from_air(asked.map, from.position, watch)?;
+        return Ok(Seen { from: None, found });
+    }
+    let from = asked.map.locate(from, snap_of(args.snap))?;
     let found = asked.map.visible_from(&from)?;
-    Ok(Seen { from, found })
+    Ok(Seen { from: Some(from), found })
 }
 
 fn as_json(seen: &Seen) -> Value {
     let ranges = seen.found.surfels.ranges().iter();
     json!({
-        "surfel": seen.from.surfel,
-        "distance": seen.from.distance,
+        "surfel": seen.from.map(|from| from.surfel),
+        "distance": seen.from.map(|from| from.distance),
         "seen": seen.found.surfels.len(),
         "points": seen.found.n_points,
         "ranges": ranges.map(|r| [r.start, r.end - 1]).collect::<Vec<_>>(),
@@ -107,13 +126,13 @@ fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path) -> Outcome {
     let (rows, columns) = batch::open(rows, |header| {
         PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)
     })?;
-    batch::answer(rows, &Looks { asked, columns, snap: snap_of(args.snap) }, args.json)
+    batch::answer(rows, &Looks { asked, columns, args }, args.json)
 }
 
 struct Looks<'q, 'm, 'a> {
     asked: &'q Asked<'m, 'a>,
     columns: PlaceColumns,
-    snap: Snap,
+    args: &'q Args,
 }
 
 impl Batch for Looks<'_, '_, '_> {
@@ -124,14 +143,18 @@ impl Batch for Looks<'_, '_, '_> {
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Seen, RowError>> {
         batch::each(rows, |row| {
             let from = self.columns.read(row)?;
-            self.asked.of_row(look(self.asked, &from, self.snap))
+            self.asked.of_row(look(self.asked, &from, self.args, &Quiet))
         })
     }
 
     fn write(&self, seen: &Seen, out: &mut Vec<u8>) -> io::Result<()> {
         let Seen { from, found } = seen;
         let (n_surfels, n_points) = (found.surfels.len(), found.n_points);
-        write!(out, "{},{},{n_surfels},{n_points},", from.surfel, from.distance)?;
+        match from {
+            Some(from) => write!(out, "{},{},", from.surfel, from.distance)?,
+            None => write!(out, ",,")?,
+        }
+        write!(out, "{n_surfels},{n_points},")?;
         for (i, range) in found.surfels.ranges().iter().enumerate() {
             let before = if i > 0 { ";" } else { "" };
             write!(out, "{before}{}-{}", range.start, range.end - 1)?;
