@@ -21,6 +21,8 @@ pub struct Rows {
     reader: csv::Reader<Guard<Box<dyn Read + Send>>>,
     header: StringRecord,
     path: PathBuf,
+    /// How long the file is, where it is one.
+    len_bytes: Option<u64>,
     /// The row read last.
     row: ByteRecord,
     /// The line on which it begins.
@@ -103,14 +105,15 @@ impl Rows {
     /// # Errors
     /// Where it cannot be opened or the header row cannot be read.
     pub fn open(path: &Path) -> Result<Rows, Error> {
-        let input: Box<dyn Read + Send> = match path.as_os_str() == "-" {
-            true => return Rows::of(Box::new(io::stdin()), Path::new("standard input")),
-            false if path.is_dir() => {
-                return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
-            }
-            false => Box::new(File::open(path).map_err(|e| StoreError::io(path, "open", e))?),
-        };
-        Rows::of(input, path)
+        if path.as_os_str() == "-" {
+            return Rows::of(Box::new(io::stdin()), Path::new("standard input"));
+        }
+        if path.is_dir() {
+            return Err(StoreError::NotAFile { path: path.to_path_buf() }.into());
+        }
+        let file = File::open(path).map_err(|e| StoreError::io(path, "open", e))?;
+        let len_bytes = file.metadata().ok().filter(|found| found.is_file()).map(|f| f.len());
+        Ok(Rows { len_bytes, ..Rows::of(Box::new(file), path)? })
     }
 
     /// Opens a file, whatever its name, and reads the header row.
@@ -137,7 +140,8 @@ impl Rows {
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(guard);
         let (header, row) = (StringRecord::new(), ByteRecord::new());
-        let mut rows = Rows { reader, header, path: path.to_path_buf(), row, line: 1 };
+        let (path, len_bytes) = (path.to_path_buf(), None);
+        let mut rows = Rows { reader, header, path, len_bytes, row, line: 1 };
         rows.header = rows.read()?.unwrap_or_default();
         rows.header.trim();
         Ok(rows)
@@ -146,6 +150,16 @@ impl Rows {
     /// Gives what the rows are called in messages.
     pub fn name(&self) -> &Path {
         &self.path
+    }
+
+    /// Says how long the file is; none of what is no file.
+    pub fn len_bytes(&self) -> Option<u64> {
+        self.len_bytes
+    }
+
+    /// Counts the bytes of the rows read so far.
+    pub fn n_bytes_read(&self) -> u64 {
+        self.reader.position().byte()
     }
 
     /// Gives the header row; it is empty where there is none.

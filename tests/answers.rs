@@ -80,6 +80,17 @@ fn a_table_of_pairs() {
     let lines: Vec<Value> = json.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     let visible: Vec<bool> = lines.iter().map(|l| l["visible"].as_bool().unwrap()).collect();
     assert_eq!(visible, [true, false, true]);
+
+    // Any threads; how far a file is is told, and of rows from elsewhere nothing.
+    let told = bench.line("query room.vmap pairs rows.csv --threads 3 --progress json").ok();
+    assert_eq!(told.stdout, run.stdout);
+    let bytes = bench.read("rows.csv").len();
+    let last: Value = serde_json::from_str(told.stderr.lines().last().unwrap()).unwrap();
+    assert_eq!((&last["stage"], &last["done"]), (&"table".into(), &bytes.into()));
+    let mut command = bench.command("query room.vmap pairs - --progress json".split(' '));
+    command.stdin(std::fs::File::open(bench.path("rows.csv")).unwrap());
+    let untold = Run::of(command).ok();
+    assert_eq!((untold.stdout, untold.stderr.as_str()), (run.stdout, ""));
 }
 
 #[test]

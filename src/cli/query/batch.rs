@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use std::sync::mpsc::sync_channel;
 
 use csv::StringRecord;
-use pvmap::Error;
 use pvmap::rows::{Row, RowBlock, Rows};
+use pvmap::{Error, Watch};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -61,8 +61,19 @@ pub(super) fn open<T>(
 
 /// Answers a table. Some rows are read while those before them are answered, by a thread of their
 /// own: one of the pool would, waiting for rows, leave answers unwritten.
-pub(super) fn answer<B: Batch>(mut rows: Rows, batch: &B, as_lines: bool) -> Outcome {
+pub(super) fn answer<B: Batch>(
+    mut rows: Rows,
+    batch: &B,
+    as_lines: bool,
+    watch: &dyn Watch,
+) -> Outcome {
     let mut out = super::stdout();
+    // Of rows that come from elsewhere nobody knows how many they are.
+    let tells = rows.len_bytes().is_some();
+    if tells {
+        watch.stage("table", rows.len_bytes(), "bytes");
+    }
+    let mut n_bytes_told = 0;
     if !as_lines {
         writeln!(out, "{}", B::HEADER)?;
     }
@@ -70,8 +81,12 @@ pub(super) fn answer<B: Batch>(mut rows: Rows, batch: &B, as_lines: bool) -> Out
         let (sender, blocks) = sync_channel(1);
         // A receiver that is gone has nobody to write answers to.
         scope.spawn(move || while sender.send(next_block(&mut rows)).is_ok() {});
-        for (block, ended) in blocks {
+        for Block { rows: block, n_bytes_read, ended } in blocks {
             write_block(batch, &block, as_lines, &mut out)?;
+            if tells {
+                watch.advance(n_bytes_read - n_bytes_told);
+                n_bytes_told = n_bytes_read;
+            }
             // The rows before one that cannot be read have their answers.
             match ended {
                 Some(ended) => {
@@ -87,18 +102,24 @@ pub(super) fn answer<B: Batch>(mut rows: Rows, batch: &B, as_lines: bool) -> Out
     })
 }
 
-/// How a table ended: well, or with a row that cannot be read.
-type Ended = Option<Result<ExitCode, Error>>;
+/// Some rows of a table.
+struct Block {
+    rows: RowBlock,
+    /// The bytes of these and of all before.
+    n_bytes_read: u64,
+    /// How the table ended with them, if it did: well, or with a row that cannot be read.
+    ended: Option<Result<ExitCode, Error>>,
+}
 
 /// Reads some rows; at the end of the table also how it ended.
-fn next_block(rows: &mut Rows) -> (RowBlock, Ended) {
+fn next_block(rows: &mut Rows) -> Block {
     let mut block = RowBlock::default();
     let ended = match rows.read_block(BLOCK_ROWS, BLOCK_BYTES, &mut block) {
         Ok(true) => None,
         Ok(false) => Some(Ok(ExitCode::SUCCESS)),
         Err(e) => Some(Err(e)),
     };
-    (block, ended)
+    Block { rows: block, n_bytes_read: rows.n_bytes_read(), ended }
 }
 
 /// Lines of answers, and what is wrong with the map where they end early.

@@ -14,12 +14,12 @@ use std::io::{self, BufWriter, Stdout};
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use pvmap::Error;
 use pvmap::query::{Located, Map, Place, QueryError, Snap};
+use pvmap::{Error, Limits, Watch};
 use serde_json::{Value, json};
 
 use self::batch::RowError;
-use super::{Context, Outcome, map_file, parse_point, print_json};
+use super::{Context, LAST, Outcome, map_file, parse_point, print_json, threads_parser};
 
 /// Ask a map
 #[derive(Debug, clap::Args)]
@@ -39,6 +39,10 @@ pub(super) struct Args {
     /// The map, as pvmap build makes it
     #[arg(value_name = "NAME.vmap")]
     map: PathBuf,
+    /// Threads; 0 takes as many as the machine has
+    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
+    #[arg(value_parser = threads_parser(), display_order = LAST)]
+    threads: usize,
     #[command(subcommand)]
     question: Question,
 }
@@ -57,16 +61,17 @@ enum Question {
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let (path, bytes) = map_file(&args.map)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&path, e))?;
-    let asked = Asked { map: &map, path: &path };
-    match &args.question {
+    let asked = Asked { map: &map, path: &path, watch: &context.progress };
+    let answer = || match &args.question {
         Question::Pair(args) => pair::run(&asked, args),
         Question::Pairs(args) => pairs::run(&asked, args),
-        Question::VisibleFrom(args) => visible_from::run(&asked, args, context),
-        Question::SeesCount(args) => sees_count::run(&asked, args, context),
+        Question::VisibleFrom(args) => visible_from::run(&asked, args),
+        Question::SeesCount(args) => sees_count::run(&asked, args),
         Question::Region(args) => region::run(&asked, args),
         Question::Ray(args) => ray::run(&asked, args),
         Question::Shadow(args) => shadow::run(&asked, args),
-    }
+    };
+    Limits { threads: args.threads, ..Limits::default() }.run(answer)?
 }
 
 /// Reads a distance.
@@ -89,6 +94,7 @@ fn place(position: [f64; 3], normal: Option<[f64; 3]>) -> Place {
 struct Asked<'m, 'a> {
     map: &'m Map<'a>,
     path: &'m Path,
+    watch: &'m dyn Watch,
 }
 
 impl Asked<'_, '_> {

@@ -66,7 +66,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     })?;
     let pairs = Pairs { asked, columns, snap: snap_of(args.snap), is_kept: OnceLock::new() };
     if !args.points.exact {
-        return batch::answer(rows, &pairs, args.json);
+        return batch::answer(rows, &pairs, args.json, asked.watch);
     }
     let points = args.points.open(asked.path)?;
     let view = points.view()?;
@@ -75,7 +75,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let exact = Exact::new(&view, options);
     exact.require_map(asked.map).map_err(|e| points.named(asked.path, e))?;
     let both = ExactPairs { pairs, points: &points, exact, found: Mutex::default() };
-    let ended = batch::answer(rows, &both, args.json)?;
+    let ended = batch::answer(rows, &both, args.json, asked.watch)?;
     let found = both.found.into_inner().unwrap_or_else(PoisonError::into_inner);
     // Where stderr is closed the table has to do.
     let _ = writeln!(

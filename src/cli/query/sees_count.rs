@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use serde_json::json;
 
-use super::{Asked, Context, Outcome, stdout};
+use super::{Asked, Outcome, stdout};
 
 /// How many others does every surfel see?
 #[derive(Debug, clap::Args)]
@@ -24,8 +24,8 @@ pub(super) struct Args {
     json: bool,
 }
 
-pub(super) fn run(asked: &Asked<'_, '_>, args: &Args, context: &Context) -> Outcome {
-    let counts = asked.named(pvmap::sees_counts(asked.map, &context.progress))?;
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    let counts = asked.named(pvmap::sees_counts(asked.map, asked.watch))?;
     let mut out = stdout();
     if !args.json {
         writeln!(out, "surfel,x,y,z,sees")?;

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::batch::{self, Batch, RowError};
 use super::pairs::PlaceColumns;
-use super::{Asked, Context, Outcome, parse_distance, parse_point, place, snap_of, stdout};
+use super::{Asked, Outcome, parse_distance, parse_point, place, snap_of, stdout};
 
 /// Which surfels does a place see? That which it lies on is among them
 #[derive(Debug, clap::Args)]
@@ -64,13 +64,13 @@ pub(super) struct Args {
     json: bool,
 }
 
-pub(super) fn run(asked: &Asked<'_, '_>, args: &Args, context: &Context) -> Outcome {
+pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let from = match (args.place, &args.rows) {
         (_, Some(rows)) => return table(asked, args, rows),
         (Some(position), None) => place(position, args.normal),
         _ => return Err(Error::Usage("give a place, or --rows".to_owned()).into()),
     };
-    let seen = asked.named(look(asked, &from, args, &context.progress))?;
+    let seen = asked.named(look(asked, &from, args, asked.watch))?;
     if args.json {
         let mut object = as_json(&seen);
         object["links"] = json!(seen.found.n_links);
@@ -126,7 +126,7 @@ fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path) -> Outcome {
     let (rows, columns) = batch::open(rows, |header| {
         PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)
     })?;
-    batch::answer(rows, &Looks { asked, columns, args }, args.json)
+    batch::answer(rows, &Looks { asked, columns, args }, args.json, asked.watch)
 }
 
 struct Looks<'q, 'm, 'a> {
