@@ -296,7 +296,7 @@ fn a_map_is_asked_of_its_own_truth_and_octree() {
 fn agreement(bench: &Bench, models: &str, n_points: u32, build: &str, asked: &str) -> Vec<f64> {
     let room = format!("{models} --points {n_points} -o r.ply --truth r.mesh.ply");
     bench.line(&format!("scene cornell{room}")).ok();
-    bench.line("ingest r.ply").ok();
+    bench.line("ingest r.ply --overwrite").ok();
     bench.line(&format!("build r.octree {build}")).ok();
     let line = format!("r.vmap --truth r.mesh.ply --octree r.octree {asked}");
     let found = accuracy(bench, &line);
