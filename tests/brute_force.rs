@@ -32,7 +32,9 @@ struct Seen {
     blocked: u64,
     links: u64,
     links_above_leaves: u64,
+    links_of_a_leaf_and_more: u64,
     partial: u64,
+    partial_by_partial_alone: u64,
     node_pairs: u64,
     two_sided: u64,
     one_sided: u64,
@@ -47,7 +49,9 @@ impl AddAssign for Seen {
         self.blocked += other.blocked;
         self.links += other.links;
         self.links_above_leaves += other.links_above_leaves;
+        self.links_of_a_leaf_and_more += other.links_of_a_leaf_and_more;
         self.partial += other.partial;
+        self.partial_by_partial_alone += other.partial_by_partial_alone;
         self.node_pairs += other.node_pairs;
         self.two_sided += other.two_sided;
         self.one_sided += other.one_sided;
@@ -261,6 +265,11 @@ fn census(model: &Model, links: &[(u32, u32)]) -> Seen {
     let count =
         |f: &dyn Fn(&model::Disc) -> bool| model.surfels.iter().filter(|s| f(s)).count() as u64;
     let pairs: Vec<_> = model.disjoint_pairs().collect();
+    let is_partial = |&(a, b): &(usize, usize)| model.status(a, b) == Status::Partial;
+    let has_only_partial = |&(a, b): &(usize, usize)| {
+        let kids_b = model.kids(b);
+        model.kids(a).iter().all(|&x| kids_b.iter().all(|&y| is_partial(&(x, y))))
+    };
     let zero = count(&|s| s.normal == [0; 3]);
     let two_sided = count(&|s| s.normal != [0; 3] && s.two_sided);
     Seen {
@@ -270,8 +279,10 @@ fn census(model: &Model, links: &[(u32, u32)]) -> Seen {
         links: links.len() as u64,
         links_above_leaves: links.iter().filter(|&&(a, b)| !(is_leaf(a) && is_leaf(b))).count()
             as u64,
-        partial: pairs.iter().filter(|&&(a, b)| model.status(a, b) == Status::Partial).count()
+        links_of_a_leaf_and_more: links.iter().filter(|&&(a, b)| is_leaf(a) != is_leaf(b)).count()
             as u64,
+        partial: pairs.iter().filter(|pair| is_partial(pair)).count() as u64,
+        partial_by_partial_alone: pairs.iter().filter(|pair| has_only_partial(pair)).count() as u64,
         node_pairs: pairs.len() as u64,
         two_sided,
         one_sided: n - zero - two_sided,
@@ -281,13 +292,14 @@ fn census(model: &Model, links: &[(u32, u32)]) -> Seen {
 }
 
 #[test]
-fn v1_to_v5_maps_are_brute_force() {
+fn v1_to_v5_n50_n51_maps_are_brute_force() {
     let n = if is_slow_run() { 2000 } else { 200 };
     let mut seen = Seen::default();
     on_threads(n, check_tree).into_iter().for_each(|tree| seen += tree);
     eprintln!("{n} trees: {seen:?}");
     assert!(seen.visible > 10 * n && seen.blocked > 10 * n, "{seen:?}");
     assert!(seen.links_above_leaves > n && seen.partial > 10 * n, "{seen:?}");
+    assert!(seen.links_of_a_leaf_and_more > n && seen.partial_by_partial_alone > 0, "{seen:?}");
     assert!(seen.two_sided > n && seen.one_sided > n && seen.zero_normals > n / 2, "{seen:?}");
     assert!(seen.quadrants > n / 20, "{seen:?}");
 }

@@ -234,7 +234,7 @@ fn d8_two_runs_make_the_same_folder_and_map() {
 }
 
 #[test]
-fn d2_shuffled_points_make_the_same_map() {
+fn d2_n13_shuffled_points_make_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["room.las", "room.laz", "room.ply"] {
         let scan = |shuffle, order: &str| {
@@ -283,7 +283,7 @@ fn compare_las(moved: &[(&str, Cloud, f64, [f64; 3])]) {
 }
 
 #[test]
-fn d2_a_las_moved_by_500_km_makes_the_same_map() {
+fn d2_n45_a_las_moved_by_500_km_makes_the_same_map() {
     let cloud = room_cloud(6_000);
     compare_las(&[
         ("offset", cloud.clone(), SCALE_M, [500_000.0, -500_000.0, 500_000.0]),
@@ -295,7 +295,7 @@ fn d2_a_las_moved_by_500_km_makes_the_same_map() {
 }
 
 #[test]
-fn d2_a_las_scaled_by_a_power_of_two_makes_the_same_map() {
+fn d2_n46_a_las_scaled_by_a_power_of_two_makes_the_same_map() {
     let cloud = room_cloud(6_000);
     let scaled = |k: i32| SCALE_M * 2f64.powi(k);
     compare_las(&[
@@ -307,7 +307,7 @@ fn d2_a_las_scaled_by_a_power_of_two_makes_the_same_map() {
 }
 
 #[test]
-fn d2_a_ply_scaled_by_a_power_of_two_makes_the_same_map() {
+fn d2_n46_a_ply_scaled_by_a_power_of_two_makes_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
     let room = room_cloud(6_000);
     let Positions::Lattice(steps) = &room.positions else { unreachable!("made on a lattice") };

@@ -166,7 +166,8 @@ impl Model {
         links
     }
 
-    fn kids(&self, id: usize) -> Vec<usize> {
+    /// Gives the children of a node, of a leaf the leaf.
+    pub fn kids(&self, id: usize) -> Vec<usize> {
         if self.children[id].is_empty() { vec![id] } else { self.children[id].clone() }
     }
 

@@ -127,7 +127,7 @@ fn random_delta(rng: &mut Rng, cloud: &[Key]) -> u32 {
 }
 
 #[test]
-fn v7_pairs_are_decided_as_all_points_say() {
+fn v7_n56_n63_pairs_are_decided_as_all_points_say() {
     let mut rng = Rng::with_seed(70);
     let mut seen = Seen::default();
     for _ in 0..400 {
@@ -187,7 +187,7 @@ fn v7_large_octrees_are_searched_by_their_index_and_only_near_the_line() {
 }
 
 #[test]
-fn v7_segments_through_faces_edges_and_corners_of_cells() {
+fn v7_n57_n58_n59_n62_segments_through_faces_edges_and_corners_of_cells() {
     let far = GRID_MAX - GRID_MAX % 2;
     let ends = [[0, 0, 0], [far, far, far], [0, far, 0], [far, 0, far], [0, 0, far], [far, 0, 0]];
     let end = |g: [u32; 3]| Key { g, normal: [0; 3], oriented: false };
@@ -224,7 +224,36 @@ fn ask(octree: &OctreeView<'_>, delta_grid: u32, k: u32, p: [u32; 3], q: [u32; 3
 }
 
 #[test]
-fn v7_occluders_of_one_place_are_one_witness() {
+fn n64_the_longest_segment_meets_no_more_cells_than_there_are() {
+    // From corner to corner, past points in cells of the last level; then where every point of the
+    // scan is within reach of the line. Each cell is met once at the most.
+    let mut rng = Rng::with_seed(64);
+    let key = |g| Key { g, normal: [1 << 14, 0, 0], oriented: false };
+    let mut cloud: Vec<Key> = (0..3000)
+        .map(|_| {
+            let t = rng.u32(..GRID_MAX);
+            key([0; 3].map(|_| t.saturating_add(rng.u32(..5)).min(GRID_MAX)))
+        })
+        .collect();
+    cloud.extend([key([0; 3]), key([GRID_MAX; 3])]);
+    let file = octree_file(&sorted(cloud));
+    let octree = OctreeView::open(&file).unwrap();
+    let n_cells = (1..=21).map(|level| {
+        let points = octree.points(0, 3002).unwrap();
+        let code = |g| pvmap_geometry::morton::encode(g) >> (3 * (21 - level));
+        points.iter().map(|p| code(p.unwrap().key.g)).collect::<HashSet<_>>().len() as u64
+    });
+    let n_cells = 1 + n_cells.sum::<u64>();
+    for delta in [0, 1, 1 << 21, u32::MAX] {
+        let exact = Exact::new(&octree, options(delta, u32::MAX));
+        let ends = [exact.point(0).unwrap(), exact.point(3001).unwrap()];
+        let work = exact.pair(&ends[0], &ends[1]).unwrap().work;
+        assert!(work.n_cells <= n_cells, "{delta}: {} of {n_cells} cells", work.n_cells);
+    }
+}
+
+#[test]
+fn v7_n49_occluders_of_one_place_are_one_witness() {
     let up = |g| Key { g, normal: [0, 0, 1 << 14], oriented: true };
     let down = |g| Key { g, normal: [0, 0, -1 << 14], oriented: true };
     let (p, q) = ([500, 500, 0], [500, 500, 1000]);
