@@ -284,6 +284,55 @@ fn n19_a_crowd_in_a_wide_plain_is_no_deeper_than_the_grid() {
 }
 
 #[test]
+fn n20_more_points_than_32_bits_count_are_counted_in_64() {
+    // 400 billion records, none of which is on the disk: a file with a hole.
+    let bench = Bench::new();
+    write_las(&bench.path("s.las"), 10, |i| [i as i32, 0, 0]);
+    let (path, n_points) = (bench.path("s.las"), 400_000_000_000u64);
+    let bytes = bench.read("s.las");
+    let [offset, record_bytes] = [
+        u64::from(u32::from_le_bytes(bytes[96..100].try_into().unwrap())),
+        u64::from(u16::from_le_bytes(bytes[105..107].try_into().unwrap())),
+    ];
+    assert_eq!(bytes[25], 4, "LAS 1.4 counts in 64 bits");
+    patch(&path, 107, &0u32.to_le_bytes());
+    patch(&path, 247, &n_points.to_le_bytes());
+    let file = std::fs::File::options().write(true).open(&path).unwrap();
+    file.set_len(offset + n_points * record_bytes).unwrap();
+    // Refused before any is read: all of them would have to fit on the disk.
+    let mib = (n_points * record_bytes) >> 20;
+    let run = bench.line("ingest s.las -o s.octree").fails(74, &["MiB of disk"]);
+    let needed = run.stderr.split_whitespace().filter_map(|word| word.parse::<f64>().ok());
+    assert!(needed.fold(0.0, f64::max) > mib as f64, "{}", run.stderr);
+}
+
+#[test]
+fn n26_estimated_normals_are_the_same_wherever_the_scan_is() {
+    // A floor with a millimetre of noise, here and at UTM: in floats E[x²] - E[x]² is noise there.
+    let bench = Bench::new();
+    let mut rng = fastrand::Rng::with_seed(26);
+    let steps: Vec<[i32; 3]> =
+        (0..3000).map(|i| [i % 60 * 10, i / 60 * 10, rng.i32(-2..=2)]).collect();
+    let mut all = BTreeSet::new();
+    for offset in [[0.0f64; 3], [500_000.0, 4_600_000.0, 100.0]] {
+        write_las(&bench.path("s.las"), 3000, |i| steps[i as usize]);
+        for axis in 0..3 {
+            patch(&bench.path("s.las"), 155 + 8 * axis, &offset[axis as usize].to_le_bytes());
+        }
+        // The bounds of the header are those of before.
+        ingest(&bench, "s.las");
+        let normals = bench.with_octree("s.octree", |octree| {
+            let points = octree.points(0, 3000).unwrap();
+            points.iter().map(|p| p.unwrap().key.normal).collect::<Vec<_>>()
+        });
+        let n_up = normals.iter().filter(|n| n[2].unsigned_abs() > 14_000).count();
+        assert!(n_up > 2900, "{n_up}");
+        all.insert(normals);
+    }
+    assert_eq!(all.len(), 1);
+}
+
+#[test]
 fn n40_n41_walls_that_face_each_other_see_all_of_each_other() {
     // Neither the surfels at the ends nor their neighbours in a wall may hide anything: no
     // self-shadow however flat the angle, and none on a wall without noise.

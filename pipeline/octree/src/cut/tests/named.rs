@@ -197,6 +197,47 @@ fn n30_signs_of_unoriented_normals_change_nothing() {
 }
 
 #[test]
+fn n31_foliage_is_a_disc_of_two_sides() {
+    // The row wants a ball. A surfel is a disc whatever its points are; in a leaf of the plain tree
+    // whose normals look everywhere DESIGN's canonical sum gives it one, and both its sides count.
+    let mut rng = Rng::with_seed(31);
+    let mut cloud = Vec::new();
+    for _ in 0..200 {
+        let normal = [0; 3].map(|_| rng.i16(-9000..=9000));
+        for normal in [normal, normal.map(|c| -c)] {
+            cloud.push(TestPoint::at([0; 3].map(|_| rng.u32(..500))).facing(normal));
+        }
+    }
+    let tree = check(&cloud, &options(Shape::Paper, 8, 1000));
+    assert_eq!(tree.surfels.len(), 1);
+    assert!(tree.surfels[0].two_sided && tree.surfels[0].normal != [0; 3]);
+    // Bins and quadrants part them first: what is left looks one way and has one side.
+    let tree = check(&cloud, &options(Shape::Binned, 8, 1000));
+    assert!(tree.surfels.len() > 6);
+    assert!(tree.surfels.iter().all(|s| !s.two_sided && s.normal != [0; 3]));
+}
+
+#[test]
+fn n34_no_disc_is_wider_than_its_cell() {
+    // Two points of one normal in far corners of a cell, and two who are alone.
+    let mut cloud = vec![TestPoint::at([0; 3]).facing(UP), TestPoint::at([4000; 3]).facing(UP)];
+    cloud.push(TestPoint::at([1 << 21, 0, 0]).facing(UP));
+    cloud.push(TestPoint::at([GRID_MAX; 3]).facing(UP));
+    for shape in SHAPES {
+        for max_level in [8, 9, 10] {
+            let tree = check(&cloud, &options(shape, max_level, 2));
+            for surfel in &tree.surfels {
+                let side = u64::from(GRID_MAX + 1) >> surfel.level;
+                let h = u64::from(surfel.half_spacing);
+                assert!(surfel.radius2 <= (3 * side * side).max(h * h), "{surfel:?}");
+                let (patch, cell) = (surfel.patch, surfel.cell().grown(h as i32));
+                assert_eq!(patch.meet(&cell), patch, "{surfel:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn n32_the_order_of_coincident_points_changes_nothing() {
     let mut rng = Rng::with_seed(32);
     let mut cloud: Vec<TestPoint> = (0..300)
