@@ -5,10 +5,6 @@ use crate::error::QueryError;
 use crate::leaves::Leaves;
 use crate::map::Map;
 
-/// The most nodes that are kept: 32 MiB of their parents and of where their lists start, some
-/// 400 MiB of leaves.
-const MAX_NODES: u32 = 1 << 22;
-
 /// Leaves in memory, and links where they are not too many.
 #[derive(Debug)]
 pub(crate) struct Kept {
@@ -17,16 +13,20 @@ pub(crate) struct Kept {
 }
 
 impl Map<'_> {
-    /// Reads leaves and links into memory, where later questions find them several times faster:
-    /// some hundred bytes a surfel, eight a node, five a link. Leaves out links that are more than
-    /// 16 million, and reads nothing of more than 4 million nodes; says whether all is in memory
-    /// now. Threads are those of the current rayon pool.
+    /// Reads leaves and links into memory, where later questions find them several times faster,
+    /// if they fit into so many bytes: at the most 250 a surfel, 8 a node, 5 a link. Of links that
+    /// do not fit the leaves are kept alone; where neither fits nothing is read. Says whether all
+    /// is in memory now. Threads are those of the current rayon pool.
     ///
     /// # Errors
     /// Where the map is damaged. Questions that need what is not damaged still have answers.
-    pub fn keep(&self) -> Result<bool, QueryError> {
-        if self.kept().is_none() && self.view().summary().n_nodes <= MAX_NODES {
-            let (leaves, adjacency) = (Leaves::of(self)?, Adjacency::of(self.view())?);
+    pub fn keep(&self, memory_bytes: u64) -> Result<bool, QueryError> {
+        let of_leaves = Leaves::held_bytes(self.view().summary().n_surfels.into());
+        let of_all = of_leaves.saturating_add(Adjacency::held_bytes(self.view()));
+        if self.kept().is_none() && of_leaves <= memory_bytes {
+            let fits = of_all <= memory_bytes;
+            let adjacency = if fits { Some(Adjacency::of(self.view())?) } else { None };
+            let leaves = Leaves::of(self)?;
             self.kept.get_or_init(|| Kept { adjacency, leaves });
         }
         Ok(self.kept().is_some_and(|kept| kept.adjacency.is_some()))

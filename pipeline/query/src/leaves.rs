@@ -1,8 +1,8 @@
 //! All leaves in memory: which of them hold a place, and what says how well they answer for it.
 //!
-//! The cube is cut into coarse cells, a few for each leaf, and each of them lists the leaves that
-//! reach into it, of whatever bin. So a place costs a look at one short list, where a walk down the
-//! tree looks at hundreds of nodes.
+//! The cube is cut into coarse cells, about as many as there are leaves, and each of them lists the
+//! leaves that reach into it, of whatever bin. So a place costs a look at one short list, where a
+//! walk down the tree looks at hundreds of nodes.
 
 use pvmap_geometry::{GridPoint, morton};
 use pvmap_vmap::tree::Nodes;
@@ -12,8 +12,9 @@ use rayon::prelude::*;
 use crate::locate::Answering;
 use crate::map::Map;
 
-/// So many leaves hold the same place at the most: a quadrant of each bin, on all its sides.
-const MAX_HOLDING: usize = 7 * 4;
+/// Entries of the lists for each leaf, at the most: where leaves fill space instead of surfaces, or
+/// are of very different sizes, cells are made coarser until that holds.
+const MAX_ENTRIES_A_LEAF: usize = 4;
 
 /// The leaves of a map.
 #[derive(Debug)]
@@ -45,6 +46,46 @@ struct Reaching {
     level: u8,
 }
 
+/// Makes the lists: where each starts, the lists, and how many bits of a code they do without.
+fn lists_of(leaves: &[(u32, Node)]) -> (Vec<u32>, Vec<Reaching>, u32) {
+    // One cell or two for each leaf: most of them are empty, as leaves lie along surfaces.
+    let mut bits = leaves.len().max(1).ilog2() + 1;
+    while bits > 0 && n_entries(leaves, 63 - bits) > MAX_ENTRIES_A_LEAF * leaves.len() {
+        bits -= 1;
+    }
+    let (shift, n_cells) = (63 - bits, 1 << bits);
+    let mut starts = vec![0u32; n_cells + 1];
+    for cell in leaves.iter().flat_map(|(_, leaf)| cells_of(leaf, shift)) {
+        starts[cell + 1] += 1;
+    }
+    let mut end = 0;
+    for start in &mut starts {
+        end += *start;
+        *start = end;
+    }
+    let mut ends = starts.clone();
+    let mut reaching = vec![Reaching::default(); end as usize];
+    for (surfel, (_, leaf)) in (0..).zip(leaves) {
+        let Node { first_code, level, .. } = *leaf;
+        for cell in cells_of(leaf, shift) {
+            reaching[ends[cell] as usize] = Reaching { first_code, surfel, level };
+            ends[cell] += 1;
+        }
+    }
+    (starts, reaching, shift)
+}
+
+/// Counts the entries that all lists would have.
+fn n_entries(leaves: &[(u32, Node)], shift: u32) -> usize {
+    leaves.iter().map(|(_, leaf)| cells_of(leaf, shift).count()).sum()
+}
+
+/// Gives the coarse cells that a leaf reaches into.
+fn cells_of(leaf: &Node, shift: u32) -> std::ops::RangeInclusive<usize> {
+    let codes = morton::cell_range(leaf.first_code, leaf.level);
+    (codes.start >> shift) as usize..=((codes.end - 1) >> shift) as usize
+}
+
 impl Leaves {
     /// Reads all leaves.
     pub(crate) fn of(map: &Map<'_>) -> Result<Leaves, FormatError> {
@@ -65,39 +106,17 @@ impl Leaves {
         };
         let leaves = found.par_iter().map(answering).collect::<Result<_, FormatError>>()?;
 
-        // One cell or two for each leaf: most of them are empty, as leaves lie along surfaces.
-        let bits = found.len().max(1).ilog2() + 1;
-        let shift = 63 - bits;
-        let cells_of = |leaf: &Node| {
-            let codes = morton::cell_range(leaf.first_code, leaf.level);
-            (codes.start >> shift) as usize..=((codes.end - 1) >> shift) as usize
-        };
-        let mut n_free = MAX_HOLDING * ((1 << bits) + found.len());
-        let mut starts = vec![0u32; (1 << bits) + 1];
-        for (id, leaf) in &found {
-            let cells = cells_of(leaf);
-            let n_cells = cells.end() - cells.start() + 1;
-            n_free = n_free
-                .checked_sub(n_cells)
-                .ok_or_else(|| map.broken_node(*id, "has its cell in common with too many"))?;
-            cells.for_each(|cell| starts[cell + 1] += 1);
-        }
-        let mut end = 0;
-        for start in &mut starts {
-            end += *start;
-            *start = end;
-        }
-        let mut ends = starts.clone();
-        let mut reaching = vec![Reaching::default(); end as usize];
-        for (surfel, (_, leaf)) in (0..).zip(&found) {
-            let Node { first_code, level, .. } = *leaf;
-            for cell in cells_of(leaf) {
-                reaching[ends[cell] as usize] = Reaching { first_code, surfel, level };
-                ends[cell] += 1;
-            }
-        }
+        let (starts, reaching, shift) = lists_of(&found);
         let deepest = found.iter().map(|(_, leaf)| leaf.level).max().unwrap_or(0);
         Ok(Leaves { leaves, starts, reaching, shift, deepest })
+    }
+
+    /// Says how much memory a map of so many surfels takes here at the most.
+    pub(crate) fn held_bytes(n_surfels: u64) -> u64 {
+        let a_leaf = size_of::<Leaf>() + MAX_ENTRIES_A_LEAF * size_of::<Reaching>();
+        // While they are made: all nodes of leaves, and the ends of the lists beside the starts.
+        let making = size_of::<(u32, Node)>() + 4 * size_of::<u32>();
+        n_surfels.saturating_mul((a_leaf + making) as u64)
     }
 
     /// Gives the leaf of a surfel; none where there is no such surfel.

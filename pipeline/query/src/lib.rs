@@ -20,6 +20,7 @@ mod batch;
 mod between;
 mod error;
 pub mod exact;
+mod filter;
 mod frames;
 mod kept;
 mod leaves;

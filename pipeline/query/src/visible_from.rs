@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use pvmap_geometry::Box3;
+use pvmap_geometry::grid::GRID_BITS;
 use pvmap_vmap::{Node, Surfel};
 use rayon::prelude::*;
 
@@ -67,13 +68,21 @@ impl Map<'_> {
     /// the current rayon pool.
     ///
     /// # Errors
-    /// Where `eye` is no place, the map is damaged, or `tell` says no.
+    /// Where `eye` is farther outside the cube than its side is long, the map is damaged, or `tell`
+    /// says no.
     pub fn visible_from_air(
         &self,
         eye: [f64; 3],
         tell: &(dyn Fn(u64) -> bool + Sync),
     ) -> Result<VisibleSet, QueryError> {
         let n_surfels = self.view().summary().n_surfels;
+        let frame = &self.view().frame().frame;
+        // Half a step of the grid must not decide what is seen, as it does from afar.
+        let side = f64::from(1 << GRID_BITS);
+        if !frame.steps_of_query(eye).iter().all(|v| (-side..=2.0 * side).contains(v)) {
+            let [min, max] = [[-side; 3], [2.0 * side; 3]].map(|g| frame.world_of_real(g));
+            return Err(QueryError::OutsideCube { place: eye, min, max });
+        }
         let piece = |first: u32| {
             let end = n_surfels.min(first.saturating_add(PIECE_SURFELS));
             let mut seen: Seen<true> = Seen::default();

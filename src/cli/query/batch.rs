@@ -1,6 +1,6 @@
 //! Tables of questions: rows in, a line an answer, in order.
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::mpsc::sync_channel;
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::Outcome;
 
 /// Rows answered at once, and their bytes where rows are long.
-pub(super) const BLOCK_ROWS: usize = 1 << 16;
+const BLOCK_ROWS: usize = 1 << 16;
 const BLOCK_BYTES: usize = 16 << 20;
 /// Answers that a thread writes at a time.
 const PIECE: usize = 1 << 10;
@@ -37,6 +37,11 @@ pub(super) trait Batch: Sync {
 
     /// The columns of the answers, the last of them `error`.
     const HEADER: &'static str;
+
+    /// Says how many rows are answered at once: fewer where an answer is long or takes long.
+    fn block_rows(&self) -> usize {
+        BLOCK_ROWS
+    }
 
     /// Answers some rows, in order.
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>>;
@@ -68,8 +73,10 @@ pub(super) fn answer<B: Batch>(
     watch: &dyn Watch,
 ) -> Outcome {
     let mut out = super::stdout();
-    // Of rows that come from elsewhere nobody knows how many they are.
-    let tells = rows.len_bytes().is_some();
+    // Of rows that come from elsewhere nobody knows how many they are. On a terminal answers would
+    // stand where the bar is.
+    let tells = rows.len_bytes().is_some() && !std::io::stdout().is_terminal();
+    let n_rows = batch.block_rows();
     if tells {
         watch.stage("table", rows.len_bytes(), "bytes");
     }
@@ -80,7 +87,7 @@ pub(super) fn answer<B: Batch>(
     std::thread::scope(|scope| {
         let (sender, blocks) = sync_channel(1);
         // A receiver that is gone has nobody to write answers to.
-        scope.spawn(move || while sender.send(next_block(&mut rows)).is_ok() {});
+        scope.spawn(move || while sender.send(next_block(&mut rows, n_rows)).is_ok() {});
         for Block { rows: block, n_bytes_read, ended } in blocks {
             write_block(batch, &block, as_lines, &mut out)?;
             if tells {
@@ -94,7 +101,7 @@ pub(super) fn answer<B: Batch>(
                     return Ok(ended?);
                 }
                 // Whoever writes rows one by one waits for the answer of each.
-                None if block.len() < BLOCK_ROWS => out.flush()?,
+                None if block.len() < n_rows || n_rows < BLOCK_ROWS => out.flush()?,
                 None => {}
             }
         }
@@ -112,9 +119,9 @@ struct Block {
 }
 
 /// Reads some rows; at the end of the table also how it ended.
-fn next_block(rows: &mut Rows) -> Block {
+fn next_block(rows: &mut Rows, n_rows: usize) -> Block {
     let mut block = RowBlock::default();
-    let ended = match rows.read_block(BLOCK_ROWS, BLOCK_BYTES, &mut block) {
+    let ended = match rows.read_block(n_rows, BLOCK_BYTES, &mut block) {
         Ok(true) => None,
         Ok(false) => Some(Ok(ExitCode::SUCCESS)),
         Err(e) => Some(Err(e)),

@@ -15,11 +15,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use pvmap::query::{Located, Map, Place, QueryError, Snap};
-use pvmap::{Error, Limits, Watch};
+use pvmap::{Error, Limits};
 use serde_json::{Value, json};
 
 use self::batch::RowError;
+
 use super::{Context, LAST, Outcome, map_file, parse_point, print_json, threads_parser};
+use crate::progress::Progress;
 
 /// Ask a map
 #[derive(Debug, clap::Args)]
@@ -61,7 +63,7 @@ enum Question {
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let (path, bytes) = map_file(&args.map)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&path, e))?;
-    let asked = Asked { map: &map, path: &path, watch: &context.progress };
+    let asked = Asked { map: &map, path: &path, progress: &context.progress };
     let answer = || match &args.question {
         Question::Pair(args) => pair::run(&asked, args),
         Question::Pairs(args) => pairs::run(&asked, args),
@@ -94,7 +96,7 @@ fn place(position: [f64; 3], normal: Option<[f64; 3]>) -> Place {
 struct Asked<'m, 'a> {
     map: &'m Map<'a>,
     path: &'m Path,
-    watch: &'m dyn Watch,
+    progress: &'m Progress,
 }
 
 impl Asked<'_, '_> {

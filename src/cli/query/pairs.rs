@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use pvmap::query::exact::{Disagreement, Exact};
@@ -50,10 +51,23 @@ pub(super) struct Args {
     snap: Option<f64>,
     #[command(flatten)]
     points: PointsArgs,
+    /// Most memory that the map may be kept in: a long table is then
+    /// answered several times faster
+    #[arg(
+        long,
+        default_value = "1GiB",
+        value_parser = pvmap::parse_memory,
+        value_name = "SIZE",
+        verbatim_doc_comment
+    )]
+    memory: u64,
     /// Answer as a JSON object a line
     #[arg(long)]
     json: bool,
 }
+
+/// From so many rows on reading the whole map pays.
+const KEEP_ROWS: usize = 1 << 16;
 
 const EXPECTED: &str = "x1,y1,z1,x2,y2,z2, and nx1,ny1,nz1,nx2,ny2,nz2 to choose sides";
 
@@ -64,9 +78,16 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             PlaceColumns::find(header, ["x2", "y2", "z2"], ["nx2", "ny2", "nz2"], EXPECTED)?,
         ])
     })?;
-    let pairs = Pairs { asked, columns, snap: snap_of(args.snap), is_kept: OnceLock::new() };
+    let pairs = Pairs {
+        asked,
+        columns,
+        snap: snap_of(args.snap),
+        memory_bytes: args.memory,
+        n_rows: AtomicUsize::new(0),
+        is_kept: OnceLock::new(),
+    };
     if !args.points.exact {
-        return batch::answer(rows, &pairs, args.json, asked.watch);
+        return batch::answer(rows, &pairs, args.json, asked.progress);
     }
     let points = args.points.open(asked.path)?;
     let view = points.view()?;
@@ -75,7 +96,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let exact = Exact::new(&view, options);
     exact.require_map(asked.map).map_err(|e| points.named(asked.path, e))?;
     let both = ExactPairs { pairs, points: &points, exact, found: Mutex::default() };
-    let ended = batch::answer(rows, &both, args.json, asked.watch)?;
+    let ended = batch::answer(rows, &both, args.json, asked.progress)?;
     let found = both.found.into_inner().unwrap_or_else(PoisonError::into_inner);
     // Where stderr is closed the table has to do.
     let _ = writeln!(
@@ -120,6 +141,10 @@ struct Pairs<'q, 'm, 'a> {
     asked: &'q Asked<'m, 'a>,
     columns: [PlaceColumns; 2],
     snap: Snap,
+    /// Most memory to keep the map in.
+    memory_bytes: u64,
+    /// Rows so far.
+    n_rows: AtomicUsize,
     /// Whether the map is in memory, once that was tried: then rows are answered in any order.
     is_kept: OnceLock<bool>,
 }
@@ -137,8 +162,9 @@ impl Batch for Pairs<'_, '_, '_> {
             Ok((located(&a)?, located(&b)?))
         };
         // A damaged map is the error of the rows that meet the damage.
-        let keep = || *self.is_kept.get_or_init(|| map.keep().unwrap_or(false));
-        if rows.len() == batch::BLOCK_ROWS && keep() {
+        let keep = || map.keep(self.memory_bytes).unwrap_or(false);
+        let n_rows = self.n_rows.fetch_add(rows.len(), Ordering::Relaxed) + rows.len();
+        if n_rows >= KEEP_ROWS && *self.is_kept.get_or_init(keep) {
             return batch::each(rows, |row| {
                 let (a, b) = locate(row)?;
                 Ok((a, b, self.asked.of_row(map.pair(&a, &b))?))

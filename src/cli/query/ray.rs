@@ -128,7 +128,7 @@ fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path) -> Outcome {
         let origin = PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)?;
         Ok((origin, header.all(["dx", "dy", "dz"], expected)?))
     })?;
-    batch::answer(rows, &Rays { asked, args, origin, direction }, args.json, asked.watch)
+    batch::answer(rows, &Rays { asked, args, origin, direction }, args.json, asked.progress)
 }
 
 struct Rays<'q, 'm, 'a> {

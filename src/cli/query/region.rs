@@ -103,7 +103,7 @@ fn as_json(found: &RegionAnswer) -> Value {
 fn table(asked: &Asked<'_, '_>, args: &Args, rows: &std::path::Path) -> Outcome {
     let names = ["x1", "y1", "z1", "r1", "x2", "y2", "z2", "r2"];
     let (rows, columns) = batch::open(rows, |header| header.all(names, "x1,y1,z1,r1,x2,y2,z2,r2"))?;
-    batch::answer(rows, &Regions { asked, columns }, args.json, asked.watch)
+    batch::answer(rows, &Regions { asked, columns }, args.json, asked.progress)
 }
 
 struct Regions<'q, 'm, 'a> {

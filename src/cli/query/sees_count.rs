@@ -25,7 +25,9 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
-    let counts = asked.named(pvmap::sees_counts(asked.map, asked.watch))?;
+    let counts = asked.named(pvmap::sees_counts(asked.map, asked.progress))?;
+    // On a terminal the answer would stand where the bar is.
+    asked.progress.take_stages();
     let mut out = stdout();
     if !args.json {
         writeln!(out, "surfel,x,y,z,sees")?;

@@ -203,7 +203,7 @@ fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path, lamp: Option<Lamp>) ->
         let places = PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)?;
         Ok((places, header.all_or_none(["lx", "ly", "lz"], expected)?))
     })?;
-    batch::answer(rows, &Shadows { asked, args, lamp, places, lights }, args.json, asked.watch)
+    batch::answer(rows, &Shadows { asked, args, lamp, places, lights }, args.json, asked.progress)
 }
 
 struct Shadows<'q, 'm, 'a> {

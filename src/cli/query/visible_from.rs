@@ -70,7 +70,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         (Some(position), None) => place(position, args.normal),
         _ => return Err(Error::Usage("give a place, or --rows".to_owned()).into()),
     };
-    let seen = asked.named(look(asked, &from, args, asked.watch))?;
+    let seen = asked.named(look(asked, &from, args, asked.progress))?;
+    // On a terminal the answer would stand where the bar is.
+    asked.progress.take_stages();
     if args.json {
         let mut object = as_json(&seen);
         object["links"] = json!(seen.found.n_links);
@@ -126,7 +128,7 @@ fn table(asked: &Asked<'_, '_>, args: &Args, rows: &Path) -> Outcome {
     let (rows, columns) = batch::open(rows, |header| {
         PlaceColumns::find(header, ["x", "y", "z"], ["nx", "ny", "nz"], expected)
     })?;
-    batch::answer(rows, &Looks { asked, columns, args }, args.json, asked.watch)
+    batch::answer(rows, &Looks { asked, columns, args }, args.json, asked.progress)
 }
 
 struct Looks<'q, 'm, 'a> {
@@ -139,6 +141,10 @@ impl Batch for Looks<'_, '_, '_> {
     type Answer = Seen;
 
     const HEADER: &'static str = "surfel,distance,seen,points,ranges,error";
+
+    fn block_rows(&self) -> usize {
+        if self.args.air { 1 } else { 64 }
+    }
 
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Seen, RowError>> {
         batch::each(rows, |row| {

@@ -19,9 +19,9 @@ away are left out, so that one looks into a closed room from outside; --cull non
 What was chosen is said as a --camera that can be refined.
 
 With --visible-from all is violet that the surfel at that place sees. --exact asks the points
-instead: each point that is drawn, or of every surfel that is drawn the one nearest to its middle.
-That takes a tenth of a millisecond each and knows thin limbs from the larger discs that stand for
-them.
+what they see of the one nearest to that place: each point of the octree, or without --octree of
+every surfel the one nearest to its middle. That takes a tenth of a millisecond each and knows thin
+limbs from the larger discs that stand for them.
 
 Colours:
   rgb          the scan's, grey where it has none

@@ -59,7 +59,7 @@ fn flags(view: &View) -> String {
     };
     let mut flags = format!("--camera {}", numbers(&[view.eye, view.target].concat()));
     if view.up != [0.0, 0.0, 1.0] {
-        let [x, y, z] = view.up;
+        let [x, y, z] = view.up.map(|v| v + 0.0);
         flags += &format!(" --up {x},{y},{z}");
     }
     match view.lens {

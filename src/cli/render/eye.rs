@@ -2,6 +2,7 @@
 
 use pvmap::query::exact::{Exact, ExactOptions, PointSet};
 use pvmap::query::{Map, Place, QueryError, Snap, SurfelSet};
+use pvmap::render::held_bytes;
 use pvmap::vmap::OctreeView;
 use pvmap::{Error, Watch, memory};
 
@@ -59,8 +60,8 @@ pub(super) fn look(
             };
             if draws_points {
                 let n_points = octree.summary().n_points;
-                let held_bytes = PointSet::held_bytes(n_points);
-                memory::require("which points are seen", held_bytes, args.memory)?;
+                let held_bytes = PointSet::held_bytes(n_points) + held_bytes(args.size);
+                memory::require("the picture and which points are seen", held_bytes, args.memory)?;
                 watch.stage("exact", Some(n_points), "points");
                 Sees::Points(exact.points_visible_from(&eye, &tell).map_err(&fail)?)
             } else {
@@ -69,14 +70,15 @@ pub(super) fn look(
             }
         }
     };
+    let n_points = map.view().summary().n_points;
     let seen = match &sees {
-        Sees::Surfels(seen) => format!("{} of {n_surfels} surfels", seen.len()),
+        Sees::Surfels(seen) => format!("it sees {} of {n_surfels} surfels", seen.len()),
         Sees::Points(seen) => {
-            format!("{} of {} points", seen.len(), map.view().summary().n_points)
+            format!("its nearest point sees {} of {n_points} points", seen.len())
         }
     };
     context.progress.note(&format!(
-        "surfel {} answers for the place of --visible-from, {:.3e} away; it sees {seen}",
+        "surfel {} answers for the place of --visible-from, {:.3e} away; {seen}",
         at.surfel, at.distance,
     ));
     Ok(Eye { place: position, distance: at.distance, sees })

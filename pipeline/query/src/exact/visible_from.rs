@@ -66,15 +66,20 @@ impl Exact<'_, '_> {
     ) -> Result<SurfelSet, QueryError> {
         self.require_map(map)?;
         let n_surfels = map.view().summary().n_surfels;
-        let pieces = in_pieces(n_surfels.into(), tell, |piece| {
+        let seen_in = |piece: Range<u64>| {
             let mut seen = Vec::new();
+            // Surfels are counted in 32 bits.
             for id in piece.start as u32..piece.end as u32 {
                 if id == own.surfel || self.pair(eye, &self.point_of(map, id)?)?.visible {
                     seen.push(id..id + 1);
                 }
             }
             Ok(seen)
-        });
+        };
+        let n_pieces = u64::from(n_surfels).div_ceil(PIECE_POINTS) as usize;
+        let pieces = (0..n_pieces).into_par_iter();
+        let pieces = pieces.map(|i| in_piece(i, n_surfels.into(), tell, seen_in));
+        let pieces: Result<Vec<_>, QueryError> = pieces.collect();
         Ok(SurfelSet::of(pieces?.into_iter().flatten().collect()))
     }
 
@@ -90,19 +95,27 @@ impl Exact<'_, '_> {
         eye: &StoredPoint,
         tell: &(dyn Fn(u64) -> bool + Sync),
     ) -> Result<PointSet, QueryError> {
-        let words = in_pieces(self.octree.summary().n_points, tell, |piece| {
-            let (first, n) = (piece.start, piece.end - piece.start);
-            let points = self.octree.points(first, n).map_err(QueryError::Octree)?;
-            let mut word = 0;
-            for (i, point) in points.iter().enumerate() {
-                let key = point.map_err(QueryError::Octree)?.key;
-                let (g, normal, oriented) = (key.g, key.normal, key.oriented);
-                let point = StoredPoint { index: first + i as u64, g, normal, oriented };
-                word |= u64::from(self.pair(eye, &point)?.visible) << i;
-            }
-            Ok(word)
-        });
-        Ok(PointSet { words: words? })
+        let n_points = self.octree.summary().n_points;
+        let mut words = vec![0u64; n_points.div_ceil(PIECE_POINTS) as usize];
+        words.par_iter_mut().enumerate().try_for_each(|(i, word)| {
+            *word = in_piece(i, n_points, tell, |piece| self.word_of(eye, piece))?;
+            Ok::<_, QueryError>(())
+        })?;
+        Ok(PointSet { words })
+    }
+
+    /// Says which of some points see `eye`, a bit each.
+    fn word_of(&self, eye: &StoredPoint, piece: Range<u64>) -> Result<u64, QueryError> {
+        let (first, n) = (piece.start, piece.end - piece.start);
+        let points = self.octree.points(first, n).map_err(QueryError::Octree)?;
+        let mut word = 0;
+        for (i, point) in points.iter().enumerate() {
+            let key = point.map_err(QueryError::Octree)?.key;
+            let (g, normal, oriented) = (key.g, key.normal, key.oriented);
+            let point = StoredPoint { index: first + i as u64, g, normal, oriented };
+            word |= u64::from(self.pair(eye, &point)?.visible) << i;
+        }
+        Ok(word)
     }
 
     /// Finds the point that stands for a surfel.
@@ -114,23 +127,20 @@ impl Exact<'_, '_> {
     }
 }
 
-/// Decides things in pieces on all threads, telling after each how many it was of.
-fn in_pieces<T: Send>(
+/// Decides a piece of `n` things, telling afterwards how many it was of.
+fn in_piece<T>(
+    i: usize,
     n: u64,
     tell: &(dyn Fn(u64) -> bool + Sync),
-    decide: impl Fn(Range<u64>) -> Result<T, QueryError> + Sync,
-) -> Result<Vec<T>, QueryError> {
-    let n_pieces = n.div_ceil(PIECE_POINTS) as usize;
-    let pieces = (0..n_pieces).into_par_iter().map(|i| {
-        let first = i as u64 * PIECE_POINTS;
-        let piece = first..n.min(first + PIECE_POINTS);
-        let n_decided = piece.end - piece.start;
-        // After a no every piece ends before it begins.
-        if !tell(0) {
-            return Err(QueryError::Stopped);
-        }
-        let decided = decide(piece)?;
-        if tell(n_decided) { Ok(decided) } else { Err(QueryError::Stopped) }
-    });
-    pieces.collect()
+    decide: impl Fn(Range<u64>) -> Result<T, QueryError>,
+) -> Result<T, QueryError> {
+    let first = i as u64 * PIECE_POINTS;
+    let piece = first..n.min(first + PIECE_POINTS);
+    let n_decided = piece.end - piece.start;
+    // After a no every piece ends before it begins.
+    if !tell(0) {
+        return Err(QueryError::Stopped);
+    }
+    let decided = decide(piece)?;
+    if tell(n_decided) { Ok(decided) } else { Err(QueryError::Stopped) }
 }

@@ -21,7 +21,7 @@ fn ask(file: &[u8], seed: u64) -> Answers {
     };
     if rng.bool() {
         // What is damaged is not kept.
-        let _ = map.keep();
+        let _ = map.keep(1 << 30);
     }
     let place = |rng: &mut Rng| Place {
         position: frame().world_of([0; 3].map(|_| rng.u32(..1 << 22))),
@@ -41,6 +41,7 @@ fn ask(file: &[u8], seed: u64) -> Answers {
             answers.push(text(map.region(&ball(p), &ball(q)).map(counts_of)));
         }
         answers.push(a.clone().and_then(|a| text(map.visible_from(&a))));
+        answers.push(text(map.visible_from_air(p.position, &|_| true)));
         let box_light = Light::Box(p.position.map(|v| v - 900.0), p.position.map(|v| v + 900.0));
         for light in [Light::Air(p.position), box_light] {
             answers.push(a.clone().and_then(|a| text(map.shadow(&a, &light))));

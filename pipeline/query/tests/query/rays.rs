@@ -1,5 +1,7 @@
 //! `ray` and `shadow` against all surfels, in rational numbers of 128 bits.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use fastrand::Rng;
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile, segment_meets};
@@ -173,6 +175,37 @@ fn a_ray_from_afar_hits_what_one_from_nearby_hits() {
     }
 }
 
+/// Holds all that is seen from a place in the air against the predicates.
+fn check_all_from_the_air(rng: &mut Rng, sound: &Sound, map: &Map<'_>) {
+    let g = [0; 3].map(|_| rng.i32(-(1 << 22) + 1..(2 << 22) - 2));
+    let eye = frame().world_of_real(g.map(|v| f64::from(v) + 0.5));
+    let air = frame().steps_of_query(eye).map(|v| v.floor() as i32);
+    let (normal, two_sided, limit) = ([0; 3], false, Box3::at(air));
+    let eye_disc = Disc { centroid: air, normal, two_sided, radius2: 0, limit };
+    let discs = &sound.discs;
+    let is_seen = |a: usize| {
+        let hides =
+            |k: usize| k != a && disc::blocks(sound.profile, &discs[a], &eye_disc, &discs[k]);
+        disc::faces_both(&discs[a], &eye_disc) && !(0..discs.len()).any(hides)
+    };
+    let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&a| is_seen(a as usize)).collect();
+    let told = AtomicU64::new(0);
+    let tell = |n| {
+        told.fetch_add(n, Ordering::Relaxed);
+        true
+    };
+    let found = map.visible_from_air(eye, &tell).unwrap();
+    assert_eq!(found.surfels.ids().collect::<Vec<_>>(), expected);
+    let n_points = expected.iter().map(|&a| map.view().surfel(a).unwrap().n_points);
+    assert_eq!(found.n_points, n_points.sum::<u64>());
+    assert_eq!(told.into_inner(), u64::from(sound.n_surfels()));
+    assert_eq!(map.visible_from_air(eye, &|_| false), Err(QueryError::Stopped));
+    for far in [1e30, f64::NAN, f64::INFINITY] {
+        let refused = map.visible_from_air([far, 0.0, 0.0], &|_| true);
+        assert!(matches!(refused, Err(QueryError::OutsideCube { .. })), "{far}");
+    }
+}
+
 #[test]
 fn v3_a_light_in_the_air_reaches_what_nothing_hides() {
     let mut rng = Rng::with_seed(44);
@@ -203,6 +236,7 @@ fn v3_a_light_in_the_air_reaches_what_nothing_hides() {
             assert!(found.blocker.is_none_or(|k| hides(k as usize)));
             (n_lit, n_dark) = (n_lit + u32::from(lit), n_dark + u32::from(faces && hidden));
         }
+        check_all_from_the_air(&mut rng, &sound, &map);
     }
     assert!(n_lit > 300 && n_dark > 300, "{n_lit} lit, {n_dark} in shadow");
     let sound = maps(45, 1).next().unwrap();

@@ -26,7 +26,7 @@ fn v5_what_a_leaf_sees_is_what_the_predicates_say() {
         let counts = map.sees_counts(&|| true).unwrap();
         for a in 0..sound.n_surfels() {
             if a == sound.n_surfels() / 2 {
-                assert_eq!(map.keep(), Ok(true));
+                assert_eq!(map.keep(1 << 30), Ok(true));
             }
             let found = map.visible_from(&at(&sound.tree, a)).unwrap();
             let expected: Vec<u32> = (0..sound.n_surfels()).filter(|&b| sound.sees(a, b)).collect();
@@ -62,7 +62,7 @@ fn v5_what_a_leaf_sees_is_what_its_links_cover() {
         let n = tree.surfels.len() as u32;
         for a in 0..n {
             if a == n / 2 {
-                assert_eq!(map.keep(), Ok(true));
+                assert_eq!(map.keep(1 << 30), Ok(true));
             }
             let found = map.visible_from(&at(&tree, a)).unwrap().surfels;
             let sees = |b: u32| map.pair(&at(&tree, a), &at(&tree, b)).unwrap().visible;
@@ -93,7 +93,7 @@ fn v5_walks_over_large_trees_find_what_pairs_find() {
     let asked: Vec<u32> = (0..12).map(|_| rng.u32(..n)).collect();
     let found: Vec<SurfelSet> =
         asked.iter().map(|&a| map.visible_from(&at(&tree, a)).unwrap().surfels).collect();
-    assert_eq!(map.keep(), Ok(true));
+    assert_eq!(map.keep(1 << 30), Ok(true));
     let light: Vec<(u32, u64)> = (0..n).map(|b| (b, tree.surfels[b as usize].n_points)).collect();
     let n_points: u64 = light.iter().map(|l| l.1).sum();
     let light = map.light_source(&Light::Points(&light)).unwrap();
@@ -132,7 +132,7 @@ fn a_place_of_another_map_is_refused() {
         let strange = Located { surfel, node, distance: 0.0 };
         assert!(map.visible_from(&strange).is_err(), "{strange:?}");
         for keeps in [false, true] {
-            assert!(!keeps || map.keep().unwrap());
+            assert!(!keeps || map.keep(1 << 30).unwrap());
             assert!(map.pair(&strange, &at(&sound.tree, 2)).is_err(), "{strange:?}");
             assert!(map.pair(&at(&sound.tree, 2), &strange).is_err(), "{strange:?}");
         }
