@@ -36,9 +36,9 @@ pub enum Side {
 }
 
 impl View {
-    /// Looks at all splats of a source from a side, as near as they fit into the picture, those that
-    /// are turned away too: which these are is known only once the eye is. An orthographic lens
-    /// keeps its width if that is more than 0, else gets one that fits.
+    /// Looks at all splats of a source from a side, as near as they fit into the picture: also at
+    /// those that are turned away, as which these are is known only once the eye is. An
+    /// orthographic lens keeps its width if that is more than 0, else gets one that fits.
     ///
     /// # Errors
     /// Where `up` is no direction, and those of reading.
