@@ -26,6 +26,7 @@ fn request(bench: &Bench, output: &str) -> ExportRequest {
             PointField::SeesCount,
         ],
         snap: Snap::default(),
+        scan: None,
     }
 }
 

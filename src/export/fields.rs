@@ -79,17 +79,26 @@ impl PointField {
     }
 }
 
-/// Names the numbers of fields: those of the second of a kind end in _2, and so on.
-pub(super) fn columns(fields: &[PointField], schema: &Schema) -> Vec<ScalarField> {
-    let mut columns = Vec::new();
-    for (i, field) in fields.iter().enumerate() {
-        let (title, description) = field.title();
-        let n_before = fields[..i].iter().filter(|f| f.title().0 == title).count();
-        for name in field.names(schema) {
-            let name = match n_before {
-                0 => name.to_owned(),
-                n => format!("{name}_{}", n + 1),
-            };
+/// Names the numbers of fields: those of the second of a kind end in _2, and so on, and so do those
+/// whose names are `taken`, in letters of any case.
+pub(super) fn columns(
+    fields: &[PointField],
+    schema: &Schema,
+    taken: &[String],
+) -> Vec<ScalarField> {
+    let mut columns: Vec<ScalarField> = Vec::new();
+    for field in fields {
+        let (_, description) = field.title();
+        let names = field.names(schema);
+        let is_free = |name: &String| {
+            !taken.iter().any(|t| t.eq_ignore_ascii_case(name))
+                && !columns.iter().any(|c| c.name == *name)
+        };
+        // Of one field all or none; there are fewer names than numbers.
+        let ending = |n: u32| if n > 1 { format!("_{n}") } else { String::new() };
+        let named = |n| names.iter().map(|name| format!("{name}{}", ending(n))).collect::<Vec<_>>();
+        let free = (1..).map(named).find(|names| names.iter().all(is_free));
+        for name in free.unwrap_or_default() {
             let (description, kind) = (description.clone(), field.kind(schema));
             columns.push(ScalarField { name, description, kind });
         }
@@ -174,12 +183,13 @@ impl Found {
 }
 
 impl Values {
-    /// Finds the places of fields, then asks the map for the values. `columns` are the fields'.
+    /// Finds the places of fields, then asks the map for the values. `columns` are those of the
+    /// fields.
     ///
     /// # Errors
     /// Where a place has no surfel, the map is damaged or the run is asked to stop.
     pub(super) fn of(
-        fields: &[PointField],
+        (fields, columns): (&[PointField], &[ScalarField]),
         map: &Map<'_>,
         snap: Snap,
         watch: &dyn Watch,
@@ -187,12 +197,14 @@ impl Values {
         let found: Result<Vec<_>, _> = fields.iter().map(|f| Found::of(f, map, snap)).collect();
         let found = found?;
         let mut answers = Vec::new();
-        for (i, found) in found.iter().enumerate() {
-            if let Some(surfel) = found.answer() {
-                let title = fields[i].title().0;
-                let n_before = fields[..i].iter().filter(|f| f.title().0 == title).count();
-                let end = if n_before > 0 { format!("_{}", n_before + 1) } else { String::new() };
-                answers.push(PlaceAnswer { name: format!("{title}{end}"), surfel });
+        let mut columns = columns.iter();
+        for (field, found) in fields.iter().zip(&found) {
+            let column = columns.next();
+            // Its second and third number.
+            let n_others = if *field == PointField::Normal { 2 } else { 0 };
+            columns.by_ref().take(n_others).for_each(drop);
+            if let (Some(column), Some(surfel)) = (column, found.answer()) {
+                answers.push(PlaceAnswer { name: column.name.clone(), surfel });
             }
         }
         let has = |wanted: PointField| fields.contains(&wanted);
@@ -273,7 +285,7 @@ mod tests {
             PointField::Lit([0.0; 3]),
         ];
         let schema = Schema::new(&[("position", ColumnType::I32x3), ("record", ColumnType::U32)]);
-        let found = columns(&fields, &schema);
+        let found = columns(&fields, &schema, &[]);
         let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();
         let expected = [
             "visible_from",
@@ -290,12 +302,17 @@ mod tests {
         assert_eq!(found[0].description, "1 if seen from 1,2,-0.5");
         assert_eq!(found[2].description, "1 if seen from 3,2,-0.5,0,0,1");
         assert_eq!(held_bytes(&fields, 800), 4 * 100 + 3200);
+        let taken = ["Visible_From", "visible_from_3", "ny"].map(str::to_owned);
+        let found = columns(&fields[2..5], &schema, &taken);
+        let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();
+        let expected = ["visible_from_2", "nx_2", "ny_2", "nz_2", "visible_from_4"];
+        assert_eq!(names, expected);
         let with_normals = Schema::new(&[
             ("position", ColumnType::I32x3),
             ("record", ColumnType::U64),
             ("normal", ColumnType::F32x3),
         ]);
-        let found = columns(&[PointField::Normal, PointField::Record], &with_normals);
+        let found = columns(&[PointField::Normal, PointField::Record], &with_normals, &[]);
         assert_eq!(found[0].name, "normal_x");
         assert_eq!(found[3].kind, FieldKind::F64);
     }

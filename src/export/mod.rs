@@ -5,6 +5,7 @@ mod begin;
 mod columns;
 mod fields;
 mod lattice;
+mod onto;
 mod output;
 mod seen;
 mod surfels;
@@ -12,7 +13,7 @@ mod surfels;
 use std::path::{Path, PathBuf};
 
 use pvmap_octree::OctreeError;
-use pvmap_octree::by_source::{BySource, With, temporary_bytes};
+use pvmap_octree::by_source::{BySource, Which, With, temporary_bytes};
 use pvmap_query::{Map, Snap};
 use pvmap_store::output::folder_of;
 use pvmap_store::{ClosedFile, Mapped, StoreError, Watch, memory};
@@ -24,6 +25,7 @@ use crate::{Error, Limits, require_pair};
 pub use begin::{Made, begin_file, begin_table};
 use fields::Values;
 pub use fields::{PlaceAnswer, PointField};
+use onto::Scan;
 pub use output::PointsFile;
 pub use surfels::{export_surfels, write_surfels};
 
@@ -42,6 +44,9 @@ pub struct ExportRequest {
     pub fields: Vec<PointField>,
     /// How far from a surface the places of fields may be.
     pub snap: Snap,
+    /// The scan file to write again with all that it has, one of those of the octree: its points
+    /// alone. Without one all points are written with what the octree has of them.
+    pub scan: Option<PathBuf>,
 }
 
 /// What an export did.
@@ -59,14 +64,15 @@ pub struct Exported {
     pub temporary_bytes: u64,
 }
 
-/// Writes all points of an octree in the order of their sources and records, with what they had
-/// and new fields from the map. The same points and fields give the same bytes, whatever threads
-/// and memory.
+/// Writes all points of an octree, or all records of one of its scans, in the order of their
+/// sources and records, with what they had and new fields from the map. The same points and fields
+/// give the same bytes, whatever threads and memory.
 ///
 /// # Errors
 /// Where an artifact is damaged, the map is not one of the octree, a field's place is not on a
-/// surface, the output has another ending or would replace what no export made, the disk fails or
-/// is too small, the budget is too small, or the run is asked to stop; nothing is left behind then.
+/// surface, the scan is none of the octree's, the output has another ending or would replace what
+/// no export made, the disk fails or is too small, the budget is too small, or the run is asked to
+/// stop; nothing is left behind then.
 pub fn export_points(
     request: &ExportRequest,
     limits: &Limits,
@@ -116,9 +122,17 @@ fn run(
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
     let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
-    let names = fields::columns(fields, octree.schema());
-    let temporary = temporary_bytes(octree, with, memory_bytes);
-    output.require_disk(octree, &names, temporary, watch)?;
+    let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind()));
+    let scan = scan.transpose()?;
+    let taken = scan.as_ref().map_or(&[][..], Scan::names);
+    let names = fields::columns(fields, octree.schema(), taken);
+    let wanted = (scan.as_ref().map_or(Which::All, Scan::which), with);
+    let temporary = temporary_bytes(octree, wanted, memory_bytes);
+    let full_bytes = match &scan {
+        Some(scan) => scan.rewritten_bytes(&names),
+        None => output.file_bytes(octree, &names)?,
+    };
+    output.require_disk(full_bytes, temporary, watch)?;
     if temporary > 0 {
         let (mib, folder) = ((temporary >> 20) + 1, folder.display());
         watch.note(&format!("needs about {mib} MiB of temporary disk in {folder}"));
@@ -126,31 +140,31 @@ fn run(
     let (values, places) = {
         // It keeps what it decodes; all that is gone before the points come.
         let map = Map::open_within(map_bytes, memory_bytes / 4);
-        let values =
-            map.map_err(Error::from).and_then(|map| Values::of(fields, &map, request.snap, watch));
+        let values = map
+            .map_err(Error::from)
+            .and_then(|map| Values::of((fields, &names), &map, request.snap, watch));
         values.map_err(|e| match e {
             Error::Query(e) => Error::of_query(&request.map, e),
             e => e,
         })?
     };
     let tagger = || tagger(&request.map, map);
-    let place = (folder, memory_bytes);
-    let all = BySource::gather::<Error, _>(octree, with, place, tagger, watch)?;
-    let spilled_bytes = all.spilled_bytes();
-    let mut writer = output.start(octree, (fields, &names), all.seen(), watch)?;
-    all.each(|batch, tags| {
-        writer.write(batch, values.columns(batch, &tags.numbers, &tags.normals))
-    })?;
-    let file = writer.close()?;
-    let len = std::fs::metadata(file.temp_path()).map(|m| m.len());
-    let done = Exported {
-        n_points: octree.summary().n_points,
-        names: names.into_iter().map(|f| f.name).collect(),
-        places,
-        output_bytes: len.map_err(|e| StoreError::io(&request.output, "look at", e))?,
-        temporary_bytes: spilled_bytes,
+    let all = BySource::gather::<Error, _>(octree, wanted, (folder, memory_bytes), tagger, watch)?;
+    let temporary_bytes = all.spilled_bytes();
+    let (n_points, file) = match &scan {
+        Some(scan) => scan.write(output, (all, &values), &names, watch)?,
+        None => {
+            let mut writer = output.start(octree, (fields, &names), all.seen(), watch)?;
+            all.each(|batch, tags| {
+                writer.write(batch, values.columns(batch, &tags.numbers, &tags.normals))
+            })?;
+            (octree.summary().n_points, writer.close()?)
+        }
     };
-    Ok((done, file))
+    let len = std::fs::metadata(file.temp_path()).map(|m| m.len());
+    let output_bytes = len.map_err(|e| StoreError::io(&request.output, "look at", e))?;
+    let names = names.into_iter().map(|f| f.name).collect();
+    Ok((Exported { n_points, names, places, output_bytes, temporary_bytes }, file))
 }
 
 /// Makes what gives a point the surfel of the leaf it is routed to. [D-3]

@@ -62,17 +62,31 @@ impl PointsFile {
         self.file.temp_path()
     }
 
-    /// Refuses an output for which the disk has no room beside `temporary_bytes`. How far points
-    /// can be compressed nobody knows before: of a LAZ that may not fit it warns. (F21)
+    /// Gives the file that was begun, and its kind.
+    pub(super) fn into_parts(self) -> (AtomicFile, Kind) {
+        (self.file, self.kind)
+    }
+
+    /// Gives its kind.
+    pub(super) fn kind(&self) -> Kind {
+        self.kind
+    }
+
+    /// Gives the name it will have.
+    pub(super) fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Refuses an output of `full` bytes without compression for which the disk has no room beside
+    /// `temporary_bytes`. How far points can be compressed nobody knows before: of a LAZ that may
+    /// not fit it warns. (F21)
     pub(super) fn require_disk(
         &self,
-        octree: &OctreeView<'_>,
-        fields: &[ScalarField],
+        full: u64,
         temporary_bytes: u64,
         watch: &dyn Watch,
     ) -> Result<(), Error> {
         let (beside, path) = (self.file.temp_path(), self.file.path());
-        let full = self.file_bytes(octree, fields)?;
         let is_laz = self.kind == Kind::Laz;
         let (sure, most) = (if is_laz { full / MOST_COMPRESSION } else { full }, full);
         let is_short = |free: u64| free < most.saturating_add(temporary_bytes);
@@ -93,7 +107,11 @@ impl PointsFile {
 
     /// Gives the bytes of the file without compression, as far as they are known before the points
     /// are looked at: the most there can be.
-    fn file_bytes(&self, octree: &OctreeView<'_>, fields: &[ScalarField]) -> Result<u64, Error> {
+    pub(super) fn file_bytes(
+        &self,
+        octree: &OctreeView<'_>,
+        fields: &[ScalarField],
+    ) -> Result<u64, Error> {
         let n_points = octree.summary().n_points;
         if self.kind == Kind::Ply {
             let (columns, extras) = (self.ply_columns(octree), ply_extras(fields));

@@ -4,8 +4,9 @@
 //! against the file before any third-party decoder sees it, and says in [`SourceInfo`] what the
 //! scan holds. [`Source::read`] then streams any range of records as
 //! [`pvmap_geometry::PointBatch`]es; [`Source::parts`] says where to cut so that several threads
-//! can read at once. [`LasWriter`] and [`PlyWriter`] are the way back. [`read_mesh`] and
-//! [`MeshWriter`] do the same for triangles.
+//! can read at once. [`LasWriter`] and [`PlyWriter`] are the way back; [`Rewrite`] writes a file
+//! again with all that it has and numbers behind each record. [`read_mesh`] and [`MeshWriter`] are
+//! for triangles.
 //!
 //! The room keeps every coordinate and attribute as the file stores it: no grid, no sorting, no
 //! normal estimation. It never allocates by an unchecked word of the file, never holds more than
@@ -18,6 +19,7 @@ pub mod error;
 mod field;
 mod las;
 mod ply;
+mod rewrite;
 pub mod source;
 
 pub use error::{ErrorKind, ScanError};
@@ -26,6 +28,7 @@ pub use las::laz::is_decoding;
 pub use las::write::{LasContent, LasOptions, LasWriter};
 pub use ply::mesh::{MeshData, MeshMemory, MeshWriter, read_mesh};
 pub use ply::write::{PlyColumns, PlyExtras, PlyWriter};
+pub use rewrite::{Rewrite, RewriteOptions};
 pub use source::{
     ColorRange, Columns, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, Source,
     SourceInfo, StoredBounds,

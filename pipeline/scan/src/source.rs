@@ -9,6 +9,7 @@ use pvmap_store::input::Identity;
 use rayon::prelude::*;
 
 use crate::error::{ScanError, escaped};
+use crate::field::ScalarField;
 use crate::las::LasFile;
 use crate::ply::PlyFile;
 
@@ -242,8 +243,9 @@ pub struct Source {
     content: Content,
 }
 
+/// What a source is of.
 #[derive(Debug)]
-enum Content {
+pub(crate) enum Content {
     Las(LasFile),
     Ply(PlyFile),
 }
@@ -274,6 +276,27 @@ impl Source {
     /// Gives what the file holds.
     pub fn info(&self) -> &SourceInfo {
         &self.info
+    }
+
+    /// Gives the names of what records have beside the fields of their point format, or of the
+    /// properties of vertices.
+    pub fn names(&self) -> &[String] {
+        match &self.content {
+            Content::Las(las) => las.names(),
+            Content::Ply(_) => &[],
+        }
+    }
+
+    /// Gives the bytes of the file, about, if it is written again with fields and uncompressed.
+    pub fn rewritten_bytes(&self, fields: &[ScalarField]) -> u64 {
+        match &self.content {
+            Content::Las(las) => las.rewritten_bytes(self.info.len_bytes, fields),
+            Content::Ply(_) => 0,
+        }
+    }
+
+    pub(crate) fn content(&self) -> &Content {
+        &self.content
     }
 
     /// Cuts the records into up to `n` ranges that are decoded independently at no extra cost.
@@ -385,13 +408,16 @@ impl Source {
         part: Range<u64>,
     ) -> Result<Box<dyn PartReader + 'a>, ScanError> {
         match &self.content {
-            Content::Las(las) => las.reader(file, self.index, part, self.options),
+            Content::Las(las) => Ok(las.reader(file, self.index, part)),
             Content::Ply(ply) => Ok(Box::new(ply.reader(file, self.index, part, self.options)?)),
         }
     }
 
     /// Opens the file again and makes sure that it is still the one that was checked.
-    fn reopen(&self) -> Result<InputFile, ScanError> {
+    ///
+    /// # Errors
+    /// Where it is not there any more, or another.
+    pub fn reopen(&self) -> Result<InputFile, ScanError> {
         let file = InputFile::open(&self.info.path)?;
         if file.identity() != self.identity {
             return Err(ScanError::Changed { path: self.info.path.clone() });
@@ -400,14 +426,18 @@ impl Source {
     }
 
     /// Blames a failure on whoever changed the file, where somebody did, or on the disk.
-    fn settle<T>(&self, file: &InputFile, result: Result<T, ScanError>) -> Result<T, ScanError> {
+    pub(crate) fn settle<T>(
+        &self,
+        file: &InputFile,
+        result: Result<T, ScanError>,
+    ) -> Result<T, ScanError> {
         if result.is_err() {
             self.check_unchanged(file)?;
         }
         blame_disk(file, result)
     }
 
-    fn check_unchanged(&self, file: &InputFile) -> Result<(), ScanError> {
+    pub(crate) fn check_unchanged(&self, file: &InputFile) -> Result<(), ScanError> {
         if file.is_unchanged() {
             Ok(())
         } else {

@@ -23,11 +23,20 @@ PLY, or of scans on different lattices, are rounded to steps in a LAS, not in a 
 that are no whole numbers of 16 bits are scaled in a LAS, and intensity_f32 has what they were. A
 PLY has colours of 8 bits. What else is less than in the scans is said in warnings.
 
-Not in an octree, and so not in an export: of LAS the returns, scan angles, flags, user data, point
-source id, scanner channel, near infrared, wave packets and extra bytes other than normals, and of
-the file its id, GUID, dates and all records but its coordinate reference system; of PLY all other
-properties and elements, comments, and the types of colours and intensities. In a LAS every point
-is a single return. Keep your scans; --field record and source say which point of them is which.
+Not in an octree, and so not in such an export: of LAS the returns, scan angles, flags, user data,
+point source id, scanner channel, near infrared, wave packets and extra bytes other than normals,
+and of the file its id, GUID, dates and all records but its coordinate reference system; of PLY all
+other properties and elements, comments, and the types of colours and intensities. In a LAS every
+point is a single return. To keep all that there is:
+
+One scan with all that it has (--points and --scan FILE): the file is read again, record by record,
+and written again as it is, with the new fields behind what each record has: LAS and LAZ as either
+of them. FILE is one of the scans of the octree, found by how many records it has and, if several
+have as many, by its name; export the others one by one. A record that is not where the octree has
+it ends the export: FILE is another scan then, or was changed. A record that pvmap ingest dropped
+stays, with new fields of 0. Kept are header, ids, dates, counts and bounds, all records before and
+behind the points, wave packets and extra bytes. Changed are the generating software, which is
+pvmap export, and how a LAZ is cut; left out is the index of a COPC, whose records keep their order.
 
 Fields:
   visible-from=X,Y,Z   visible_from: 1 where the surfel of a point sees that of the place, or is
@@ -43,7 +52,8 @@ Fields:
                        without one; normal_x, ... where the scans have normals, which are nx, ...
   record               record: which record of its scan the point is, from 0
   source               source: which scan it is of, from 0
-A field of a kind that was given before is named visible_from_2, then visible_from_3, ...
+A field of a kind that was given before, or of a name that the records of --scan have, is named
+visible_from_2, then visible_from_3, ...
 LAS has fields as extra bytes. PLY has them as properties of a vertex, behind x y z nx ny nz red
 green blue intensity classification gps_time, of which those stand that the scans have.
 
@@ -69,6 +79,7 @@ Columns:
 Examples:
   pvmap export grotto.vmap --points seen.laz --field visible-from=1,2,3
   pvmap export grotto.vmap --octree site.octree --points all.ply --field sees-count --field leaf
+  pvmap export grotto.vmap --scan grotto.laz --points seen.laz --field visible-from=1,2,3
   pvmap export grotto.vmap --surfels discs.ply
   pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
   pvmap export grotto.vmap --links - | head")]
@@ -83,6 +94,10 @@ pub(super) struct Args {
     /// Where the points go: a .las, .laz or .ply [default: nowhere]
     #[arg(long, value_name = "LAS|LAZ|PLY")]
     points: Option<PathBuf>,
+    /// A scan file of the octree: --points is this file with all that it
+    /// has and the new fields, as below [default: points of the octree]
+    #[arg(long, value_name = "FILE", requires = "points", verbatim_doc_comment)]
+    scan: Option<PathBuf>,
     /// What each point gets beside what it has, as below; repeatable
     #[arg(
         long = "field",
@@ -144,6 +159,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     if args.points.is_some() {
         inputs.push(octree_of(args).join(FILE_NAME));
     }
+    inputs.extend(args.scan.clone());
     for (i, output) in outputs.iter().enumerate() {
         refuse_input(output, &inputs)?;
         if outputs[..i].iter().any(|other| same_place(other, output)) {

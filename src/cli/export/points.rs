@@ -62,6 +62,7 @@ pub(super) fn run(
         overwrite: args.overwrite,
         fields: args.fields.clone(),
         snap: args.snap.map_or(Snap::FourHalfSpacings, Snap::Within),
+        scan: args.scan.clone(),
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
     pvmap::write_points(&request, output, &limits, &context.progress)

@@ -1,11 +1,14 @@
 //! Point records taken apart again: where they came from, and the columns they were packed from.
 
+use std::ops::Range;
+
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 use pvmap_vmap::bytes::FieldReader;
 use pvmap_vmap::records::Record;
 use pvmap_vmap::schema::{Column, ColumnType};
 use pvmap_vmap::{FormatError, OctreeView, Source};
 
+use super::Which;
 use super::seen::{Intensities, Seen};
 
 /// Where the columns are, and which keys the records of each source have.
@@ -55,9 +58,16 @@ impl Columns {
         })
     }
 
-    /// Counts the keys there can be.
-    pub(super) fn n_keys(&self) -> u64 {
-        self.starts.last().copied().unwrap_or(0)
+    /// Gives the keys there can be; none of a source that is not.
+    pub(super) fn keys_of(&self, which: Which) -> Range<u64> {
+        let start = |i: usize| self.starts.get(i).copied();
+        match which {
+            Which::All => 0..self.starts.last().copied().unwrap_or(0),
+            Which::Of(i) => {
+                let i = i as usize;
+                start(i).zip(start(i.saturating_add(1))).map_or(0..0, |(a, b)| a..b)
+            }
+        }
     }
 
     /// Gives the source of a record.

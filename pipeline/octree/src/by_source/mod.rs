@@ -95,6 +95,28 @@ impl With {
     }
 }
 
+/// Which points are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Which {
+    /// All.
+    All,
+    /// Those of one source, by its number.
+    Of(u32),
+}
+
+impl Which {
+    fn has(self, source: u32) -> bool {
+        self == Which::All || self == Which::Of(source)
+    }
+
+    fn n_points(self, octree: &OctreeView<'_>) -> u64 {
+        match self {
+            Which::All => octree.summary().n_points,
+            Which::Of(i) => octree.sources().get(i as usize).map_or(0, |s| s.n_stored),
+        }
+    }
+}
+
 /// What came with the points of a batch, in their order.
 #[derive(Debug, Default)]
 pub struct Tags {
@@ -120,8 +142,12 @@ impl Tags {
 }
 
 /// Gives the bytes that [`BySource::gather`] writes to its temporary file, about.
-pub fn temporary_bytes(octree: &OctreeView<'_>, with: With, memory_bytes: u64) -> u64 {
-    let (shares, n_points) = (Shares::new(octree, with, memory_bytes), octree.summary().n_points);
+pub fn temporary_bytes(
+    octree: &OctreeView<'_>,
+    (which, with): (Which, With),
+    memory_bytes: u64,
+) -> u64 {
+    let (shares, n_points) = (Shares::new(octree, with, memory_bytes), which.n_points(octree));
     let plan = Plan::new(n_points, u64::MAX, rayon::current_num_threads(), &shares);
     let all = n_points.saturating_mul(shares.row_bytes);
     let spilled = all.saturating_sub(shares.hold_bytes.saturating_sub(plan.beyond_bytes));
@@ -135,6 +161,7 @@ pub struct BySource<'a> {
     octree: &'a OctreeView<'a>,
     columns: Columns,
     with: With,
+    n_points: u64,
     shares: Shares,
     n_threads: usize,
     folder: &'a Path,
@@ -144,16 +171,16 @@ pub struct BySource<'a> {
 }
 
 impl<'a> BySource<'a> {
-    /// Takes all points, what shall come `with` them and the number that `tag` gives each. Every
-    /// thread of the current rayon pool makes a tagger; it gets points in Morton order, whole
-    /// blocks of them. What is not held in `memory_bytes` goes to a temporary file in `folder`.
+    /// Takes the points wanted, what shall come `with` them and the number that `tag` gives each.
+    /// Every thread of the current rayon pool makes a tagger; it gets points in Morton order, of
+    /// whole blocks. What is not held in `memory_bytes` goes to a temporary file in `folder`.
     ///
     /// # Errors
     /// Where the octree is damaged, the disk fails or the run is asked to stop, and those of the
     /// taggers.
     pub fn gather<E, T>(
         octree: &'a OctreeView<'a>,
-        with: With,
+        (which, with): (Which, With),
         (folder, memory_bytes): (&'a Path, u64),
         tag: impl Fn() -> T + Sync,
         watch: &'a dyn Watch,
@@ -166,8 +193,9 @@ impl<'a> BySource<'a> {
         let columns = Columns::of(octree).map_err(OctreeError::from)?;
         let shares = Shares::new(octree, with, memory_bytes);
         let n_threads = rayon::current_num_threads();
-        let plan = Plan::new(n_points, columns.n_keys(), n_threads, &shares);
-        let pass = Pass::new(folder, 0..columns.n_keys(), shares.hold_bytes, plan);
+        let (n_wanted, keys) = (which.n_points(octree), columns.keys_of(which));
+        let plan = Plan::new(n_wanted, keys.end - keys.start, n_threads, &shares);
+        let pass = Pass::new(folder, keys, shares.hold_bytes, plan);
         let seen = Mutex::new(Seen::NOTHING);
         watch.stage("distribute", Some(n_points), "points");
         Turns::run(n_points.div_ceil(BLOCK_POINTS) as usize, |turns| {
@@ -182,6 +210,9 @@ impl<'a> BySource<'a> {
                     let point = point.map_err(OctreeError::from)?;
                     let key = columns.checked_key(octree, index, point.record);
                     let key = key.map_err(OctreeError::from)?;
+                    if !which.has(columns.source(point.record)) {
+                        continue;
+                    }
                     here = here.join(columns.seen(point.record));
                     let (tag, normal) = (tag(&point)?.to_le_bytes(), bytes_of(point.key.normal));
                     buffers.put(key, &[point.record, &tag, &normal[..with.n_bytes()]])?;
@@ -193,7 +224,19 @@ impl<'a> BySource<'a> {
             Ok::<_, E>(buffers.finish()?)
         })?;
         let seen = seen.into_inner().unwrap_or_else(PoisonError::into_inner);
-        Ok(BySource { octree, columns, with, shares, n_threads, folder, pass, seen, watch })
+        let n_points = n_wanted;
+        Ok(BySource {
+            octree,
+            columns,
+            with,
+            n_points,
+            shares,
+            n_threads,
+            folder,
+            pass,
+            seen,
+            watch,
+        })
     }
 
     /// Gives what was seen of the points.
@@ -216,7 +259,7 @@ impl<'a> BySource<'a> {
         self,
         mut visit: impl FnMut(&PointBatch, &Tags) -> Result<(), E>,
     ) -> Result<(), E> {
-        self.watch.stage("write", Some(self.octree.summary().n_points), "points");
+        self.watch.stage("write", Some(self.n_points), "points");
         if self.n_threads == 1 {
             return self.walk(&self.pass, &mut |piece| self.hand_over(&piece, &mut visit));
         }

@@ -125,7 +125,7 @@ fn points_come_back_in_the_order_of_their_sources_whatever_the_memory_and_thread
             };
             let all = BySource::gather(
                 &octree,
-                With::Normals,
+                (Which::All, With::Normals),
                 (folder.path(), memory_bytes),
                 tag,
                 &Quiet,
@@ -154,6 +154,37 @@ fn points_come_back_in_the_order_of_their_sources_whatever_the_memory_and_thread
 }
 
 #[test]
+fn points_of_one_source_come_without_the_others() {
+    let rng = &mut Rng::with_seed(9);
+    let folder = tempfile::tempdir().unwrap();
+    let some: Vec<u64> = (0..20_000).filter(|r| r % 10 != 4).collect();
+    let batches = [random_batch(rng, 0, (0..30_000).collect()), random_batch(rng, 1, some)];
+    let points = octree_of(folder.path(), &batches, 2000);
+    let mapped = Mapped::open(&points).unwrap();
+    let octree = OctreeView::open(&mapped).unwrap();
+    let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
+    for memory_bytes in [1 << 30, 1 << 14] {
+        for source in 0..3 {
+            let place = (folder.path(), memory_bytes);
+            let which = (Which::Of(source), With::Numbers);
+            assert_eq!(
+                temporary_bytes(&octree, which, memory_bytes) > 0,
+                memory_bytes < 1 << 20 && source < 2
+            );
+            let all = BySource::gather(&octree, which, place, tag, &Quiet).unwrap();
+            let mut found = Vec::new();
+            all.each(|batch, _| {
+                found.push(batch.clone());
+                Ok::<_, OctreeError>(())
+            })
+            .unwrap();
+            let expected = batches.get(source as usize).map_or(&[][..], std::slice::from_ref);
+            assert!(joined(&found) == joined(expected), "{source}, {memory_bytes}");
+        }
+    }
+}
+
+#[test]
 fn normals_of_the_octree_come_with_the_points() {
     let rng = &mut Rng::with_seed(8);
     let folder = tempfile::tempdir().unwrap();
@@ -163,7 +194,7 @@ fn normals_of_the_octree_come_with_the_points() {
     let octree = OctreeView::open(&mapped).unwrap();
     let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
     let place = (folder.path(), 1 << 14);
-    let all = BySource::gather(&octree, With::Normals, place, tag, &Quiet).unwrap();
+    let all = BySource::gather(&octree, (Which::All, With::Normals), place, tag, &Quiet).unwrap();
     let mut found = Vec::new();
     all.each(|_, tags| {
         found.extend(tags.normals.iter().copied());
@@ -212,9 +243,14 @@ fn an_error_of_the_visitor_ends_it() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         pool.install(|| {
             let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
-            let all =
-                BySource::gather(&octree, With::Numbers, (folder.path(), 1 << 16), tag, &Quiet)
-                    .unwrap();
+            let all = BySource::gather(
+                &octree,
+                (Which::All, With::Numbers),
+                (folder.path(), 1 << 16),
+                tag,
+                &Quiet,
+            )
+            .unwrap();
             let mut n_calls = 0;
             let ended = all.each(|_, _| {
                 n_calls += 1;
@@ -242,9 +278,14 @@ fn two_points_of_one_record_are_an_error() {
         let mapped = Mapped::open(&points).unwrap();
         let octree = OctreeView::open(&mapped).unwrap();
         let tag = || |_: &Point<'_>| Ok::<_, OctreeError>(0);
-        let ended =
-            BySource::gather(&octree, With::Numbers, (folder.path(), memory_bytes), tag, &Quiet)
-                .and_then(|all| all.each(|_, _| Ok::<_, OctreeError>(())));
+        let ended = BySource::gather(
+            &octree,
+            (Which::All, With::Numbers),
+            (folder.path(), memory_bytes),
+            tag,
+            &Quiet,
+        )
+        .and_then(|all| all.each(|_, _| Ok::<_, OctreeError>(())));
         assert!(ended.unwrap_err().to_string().contains(word));
     }
 }

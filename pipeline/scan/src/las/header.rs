@@ -6,7 +6,7 @@ use crate::bytes::{f64_at, u16_at, u32_at, u64_at};
 use crate::error::ScanError;
 
 /// Bytes of a point record by point format, without extra bytes.
-const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
+pub(crate) const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
 /// Length of the longest header that is looked at: that of LAS 1.4, which 1.5 begins with.
 const HEADER_BYTES: usize = 375;

@@ -330,21 +330,14 @@ impl PartReader for LazReader<'_> {
         }
         let n = (n as u64).min(self.left.end - self.left.start);
         let batch_end = self.left.start + n;
-        let mut batch = self.layout.empty_batch(self.source, n as usize);
+        let layout = self.layout;
+        let mut batch = layout.empty_batch(self.source, n as usize);
         while self.left.start < batch_end {
             let first = self.left.start;
-            match self.decode_block(batch_end) {
-                Ok(()) => self.layout.append(&self.raw, first, &mut batch),
-                Err((n_good, problem)) => {
-                    // A lenient read takes what a cut file has, not what a broken disk gives.
-                    if !self.is_lenient || self.file.failure().is_some() {
-                        return Err(ScanError::record(self.path(), first + n_good, problem));
-                    }
-                    self.raw.truncate(n_good as usize * self.layout.record_bytes);
-                    self.layout.append(&self.raw, first, &mut batch);
-                    self.left.end = first;
-                    break;
-                }
+            let raw = self.block(batch_end)?;
+            layout.append(raw, first, &mut batch);
+            if self.left.end == first {
+                break;
             }
         }
         Ok(Some(batch))
@@ -354,6 +347,26 @@ impl PartReader for LazReader<'_> {
 impl<'a> LazReader<'a> {
     fn path(&self) -> &'a Path {
         self.file.path()
+    }
+
+    /// Gives some of the next records as they are, at most up to record `limit`. Where a cut file
+    /// ends and the read is lenient, nothing is left behind them.
+    pub(crate) fn block(&mut self, limit: u64) -> Result<&[u8], ScanError> {
+        let first = self.left.start;
+        if let Err((n_good, problem)) = self.decode_block(limit) {
+            // A lenient read takes what a cut file has, not what a broken disk gives.
+            if !self.is_lenient || self.file.failure().is_some() {
+                return Err(ScanError::record(self.path(), first + n_good, problem));
+            }
+            self.raw.truncate(n_good as usize * self.layout.record_bytes);
+            self.left.end = first;
+        }
+        Ok(&self.raw)
+    }
+
+    /// Gives the records that are still to come.
+    pub(crate) fn left(&self) -> Range<u64> {
+        self.left.clone()
     }
 
     /// Decodes some records from `left.start` on into `raw`, at most up to `limit`.

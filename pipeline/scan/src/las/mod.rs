@@ -1,8 +1,10 @@
 //! LAS and LAZ: one header, two ways to store the records.
 
+mod extra;
 pub(crate) mod header;
 pub(crate) mod laz;
 pub(crate) mod records;
+pub(crate) mod rewrite;
 mod vlr;
 pub(crate) mod write;
 
@@ -17,7 +19,7 @@ use crate::source::{
     ColorRange, Columns, IntensityKind, PartReader, PositionKind, ReadOptions, SourceInfo,
 };
 use header::Header;
-use laz::Laz;
+use laz::{Laz, LazReader};
 use records::RecordLayout;
 use vlr::Records;
 
@@ -27,9 +29,12 @@ const EMPTY_LAZ_BYTES: u64 = 64;
 /// A checked LAS or LAZ file.
 #[derive(Debug)]
 pub(crate) struct LasFile {
-    points_offset: u64,
+    header: Header,
     layout: RecordLayout,
     laz: Option<Laz>,
+    /// The names of its extra bytes.
+    names: Vec<String>,
+    options: ReadOptions,
 }
 
 impl LasFile {
@@ -49,6 +54,7 @@ impl LasFile {
             }
             _ => None,
         };
+        let names = extra::names(records.extra_bytes.as_deref().unwrap_or_default());
         let n_present = laz
             .as_ref()
             .map_or_else(|| header.n_records_fit()..=header.n_records_fit(), Laz::n_points);
@@ -83,7 +89,7 @@ impl LasFile {
             is_gps_time_since_1980: layout.has_gps_time().then_some(header.is_gps_time_since_1980),
             warnings,
         };
-        Ok((LasFile { points_offset: header.points_offset, layout, laz }, info))
+        Ok((LasFile { header, layout, laz, names, options }, info))
     }
 
     /// Says whether the records are stored in chunks that are decoded from their start.
@@ -102,12 +108,30 @@ impl LasFile {
         file: &'a InputFile,
         source: u32,
         part: Range<u64>,
-        options: ReadOptions,
-    ) -> Result<Box<dyn PartReader + 'a>, ScanError> {
+    ) -> Box<dyn PartReader + 'a> {
+        match self.records(file, source, part) {
+            RawRecords::Plain(reader) => Box::new(reader),
+            RawRecords::Laz(reader) => Box::new(reader),
+        }
+    }
+
+    /// Reads all of the first `n_points` records as they are.
+    pub(crate) fn raw_reader<'a>(&'a self, file: &'a InputFile, n_points: u64) -> RawRecords<'a> {
+        self.records(file, 0, 0..n_points)
+    }
+
+    /// Gives the names of its extra bytes.
+    pub(crate) fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    fn records<'a>(&'a self, file: &'a InputFile, source: u32, left: Range<u64>) -> RawRecords<'a> {
         match &self.laz {
-            Some(laz) => Ok(Box::new(laz.reader(file, &self.layout, source, part, options))),
+            Some(laz) => {
+                RawRecords::Laz(laz.reader(file, &self.layout, source, left, self.options))
+            }
             None => {
-                Ok(Box::new(PlainReader { las: self, file, source, left: part, raw: Vec::new() }))
+                RawRecords::Plain(PlainReader { las: self, file, source, left, raw: Vec::new() })
             }
         }
     }
@@ -146,8 +170,30 @@ fn reconcile(
     Ok(declared)
 }
 
+/// Records as the file has them, without its compression.
+pub(crate) enum RawRecords<'a> {
+    Plain(PlainReader<'a>),
+    Laz(LazReader<'a>),
+}
+
+impl RawRecords<'_> {
+    /// Gives some of the next records, up to `n` of them; none at the end.
+    pub(crate) fn block(&mut self, n: u64) -> Result<&[u8], ScanError> {
+        let left = match self {
+            RawRecords::Plain(reader) => reader.left.clone(),
+            RawRecords::Laz(reader) => reader.left(),
+        };
+        let limit = left.end.min(left.start.saturating_add(n));
+        match self {
+            _ if left.is_empty() => Ok(&[]),
+            RawRecords::Plain(reader) => reader.block(limit),
+            RawRecords::Laz(reader) => reader.block(limit),
+        }
+    }
+}
+
 /// Reads records that are stored as they are.
-struct PlainReader<'a> {
+pub(crate) struct PlainReader<'a> {
     las: &'a LasFile,
     file: &'a InputFile,
     source: u32,
@@ -164,16 +210,24 @@ impl PartReader for PlainReader<'_> {
         let n = (n as u64).min(self.left.end - self.left.start);
         let batch_end = self.left.start + n;
         let mut batch = layout.empty_batch(self.source, n as usize);
-        let block = (BLOCK_BYTES / layout.record_bytes).max(1) as u64;
         while self.left.start < batch_end {
             let first = self.left.start;
-            let k = block.min(batch_end - first);
-            self.raw.resize(k as usize * layout.record_bytes, 0);
-            let at = self.las.points_offset + first * layout.record_bytes as u64;
-            self.file.read_exact_at(&mut self.raw, at)?;
-            layout.append(&self.raw, first, &mut batch);
-            self.left.start += k;
+            let raw = self.block(batch_end)?;
+            layout.append(raw, first, &mut batch);
         }
         Ok(Some(batch))
+    }
+}
+
+impl PlainReader<'_> {
+    /// Gives some of the next records as they are, at most up to record `limit`.
+    fn block(&mut self, limit: u64) -> Result<&[u8], ScanError> {
+        let record_bytes = self.las.layout.record_bytes;
+        let n = ((BLOCK_BYTES / record_bytes).max(1) as u64).min(limit - self.left.start);
+        self.raw.resize(n as usize * record_bytes, 0);
+        let at = self.las.header.points_offset + self.left.start * record_bytes as u64;
+        self.file.read_exact_at(&mut self.raw, at)?;
+        self.left.start += n;
+        Ok(&self.raw)
     }
 }

@@ -2,12 +2,13 @@
 
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 
+use super::extra::{described_bytes, name_of};
 use super::header::Header;
 use crate::bytes::{f64_at, i32_at, take, u16_at, u32_at};
 use crate::error::escaped;
 
 /// Bytes of an extra-bytes descriptor (LAS 1.4 specification, table 24).
-const DESCRIPTOR_BYTES: usize = 192;
+pub(crate) const DESCRIPTOR_BYTES: usize = 192;
 
 /// Where the columns lie in a record of one file.
 #[derive(Debug, Clone)]
@@ -139,7 +140,7 @@ impl ExtraField {
 }
 
 /// Bytes of one number of a plain descriptor kind.
-fn kind_bytes(kind: u8) -> usize {
+pub(crate) fn kind_bytes(kind: u8) -> usize {
     match kind {
         1 | 2 => 1,
         3 | 4 => 2,
@@ -158,17 +159,11 @@ fn find_normal(
     let mut at = extra.start;
     for d in descriptors.chunks_exact(DESCRIPTOR_BYTES) {
         let (kind, options) = (d[2], d[3]);
-        let name = d[4..36].split(|&b| b == 0).next().unwrap_or_default();
-        // Kind 0 is a run of `options` unnamed bytes; 11…30 were pairs and triples of 1…10.
-        let n_bytes = match kind {
-            0 => usize::from(options),
-            1..=10 => kind_bytes(kind),
-            11..=30 => kind_bytes((kind - 1) % 10 + 1) * if kind <= 20 { 2 } else { 3 },
-            _ => {
-                let name = escaped(name, 32);
-                warnings.push(format!("extra bytes \"{name}\": unknown type {kind}: not read"));
-                break;
-            }
+        let name = name_of(d);
+        let Some(n_bytes) = described_bytes(d) else {
+            let name = escaped(name, 32);
+            warnings.push(format!("extra bytes \"{name}\": unknown type {kind}: not read"));
+            break;
         };
         if at + n_bytes > extra.end {
             warnings.push(format!(

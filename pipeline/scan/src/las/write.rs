@@ -411,7 +411,7 @@ fn builder(options: &LasOptions, content: &LasContent) -> Result<Builder, las::E
 }
 
 /// Describes a field of the extra bytes: no options. Source: LAS 1.4 specification, table 24.
-fn descriptor(field: &ScalarField) -> [u8; 192] {
+pub(crate) fn descriptor(field: &ScalarField) -> [u8; 192] {
     let mut descriptor = [0; 192];
     descriptor[2] = match field.kind {
         FieldKind::U8 => 1,
@@ -437,7 +437,7 @@ fn cut(text: &str) -> &str {
 }
 
 /// Writes the fields with their whole descriptions, where one has no room in its descriptor.
-fn whole_texts(fields: &[ScalarField]) -> Option<Vlr> {
+pub(crate) fn whole_texts(fields: &[ScalarField]) -> Option<Vlr> {
     let is_long = |f: &ScalarField| f.description.len() > MAX_TEXT_BYTES;
     let line = |f: &ScalarField| format!("{}: {}\n", f.name, f.description);
     let text: String = fields.iter().map(line).collect();
