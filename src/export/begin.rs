@@ -37,9 +37,12 @@ impl Made {
                     && named.strip_prefix(LAS_SOFTWARE.as_bytes()).is_some_and(ends_text)
             }
             Made::Ply => {
-                let head = b"ply\nformat binary_little_endian 1.0\ncomment ";
-                let comment = start.strip_prefix(head).unwrap_or_default();
-                comment.strip_prefix(PLY_COMMENT.as_bytes()).is_some_and(|r| r.starts_with(b"\n"))
+                // The second line says how numbers are written.
+                let mut lines = start.split(|&b| b == b'\n').map(<[u8]>::trim_ascii_end);
+                lines.next() == Some(b"ply")
+                    && lines.next().is_some_and(|l| l.starts_with(b"format "))
+                    && lines.next().and_then(|l| l.strip_prefix(b"comment "))
+                        == Some(PLY_COMMENT.as_bytes())
             }
             Made::Table(header) => {
                 let rest = start.strip_prefix(header.as_bytes());

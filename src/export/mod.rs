@@ -124,8 +124,8 @@ fn run(
     let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
     let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind()));
     let scan = scan.transpose()?;
-    let taken = scan.as_ref().map_or(&[][..], Scan::names);
-    let names = fields::columns(fields, octree.schema(), taken);
+    let taken = scan.as_ref().map_or(Vec::new(), Scan::names);
+    let names = fields::columns(fields, octree.schema(), &taken);
     let wanted = (scan.as_ref().map_or(Which::All, Scan::which), with);
     let temporary = temporary_bytes(octree, wanted, memory_bytes);
     let full_bytes = match &scan {

@@ -3,7 +3,7 @@
 //! The octree has of a record what a map needs. Here the file itself gives the records, and the
 //! octree says of each that it is the one it took in: at the same place on the grid.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use pvmap_geometry::{Frame, PointBatch, Positions};
 use pvmap_octree::OctreeError;
@@ -14,7 +14,7 @@ use pvmap_scan::{
 use pvmap_store::{ClosedFile, Watch};
 use pvmap_vmap::{OctreeView, Source};
 
-use super::begin::LAS_SOFTWARE;
+use super::begin::{LAS_SOFTWARE, PLY_COMMENT};
 use super::fields::Values;
 use super::lattice::world;
 use super::output::{Kind, PointsFile};
@@ -57,7 +57,7 @@ impl Scan {
     }
 
     /// Gives names that its records have for what they have.
-    pub(super) fn names(&self) -> &[String] {
+    pub(super) fn names(&self) -> Vec<String> {
         self.file.names()
     }
 
@@ -77,7 +77,8 @@ impl Scan {
         let path = output.path().to_path_buf();
         let (output, kind) = output.into_parts();
         let compressed = kind == Kind::Laz;
-        let options = RewriteOptions { output, compressed, fields, software: LAS_SOFTWARE };
+        let software = if kind == Kind::Ply { PLY_COMMENT } else { LAS_SOFTWARE };
+        let options = RewriteOptions { output, compressed, fields, software };
         let input = self.file.reopen()?;
         let rewrite = Rewrite::begin(&self.file, &input, options)?;
         for warning in self.file.info().warnings.iter().chain(rewrite.warnings()) {
@@ -87,7 +88,7 @@ impl Scan {
         points.each(|batch, tags| {
             onto.write(batch, &values.columns(batch, &tags.numbers, &tags.normals))
         })?;
-        while onto.next_block(u64::MAX, &[], |_| Ok(None))? > 0 {
+        while onto.next_block(u64::MAX, &[], |_| None)? > 0 {
             watch.check()?;
         }
         if onto.n_empty > 0 {
@@ -112,12 +113,11 @@ fn choose(scan: &ScanSource, octree: &OctreeView<'_>) -> Result<u32, Error> {
     let mut found: Vec<u32> = (0..).zip(sources).filter(|(_, s)| fits(s)).map(|s| s.0).collect();
     let names: Result<Vec<String>, _> = sources.iter().map(|s| octree.source_name(s)).collect();
     let names = names.map_err(OctreeError::from)?;
-    let path: PathBuf = info.path.clone();
-    let named = path.file_name().unwrap_or_default().to_string_lossy();
+    let named = info.path.file_name().unwrap_or_default().to_string_lossy();
     if found.len() > 1 {
         found.retain(|&i| names[i as usize] == named);
     }
-    let (shown, n) = (path.display(), info.n_points);
+    let (shown, n) = (info.path.display(), info.n_points);
     let listed = |found: &mut dyn Iterator<Item = usize>| -> String {
         let line = |i: usize| {
             let n_records = sources[i].n_stored.saturating_add(sources[i].n_invalid);
@@ -169,7 +169,7 @@ impl Onto<'_> {
             let n = self.next_block(n_wanted, values, |record| {
                 let is_next = batch.records.get(done) == Some(&record);
                 done += usize::from(is_next);
-                Ok(is_next.then(|| (done - 1, places[done - 1])))
+                is_next.then(|| (done - 1, places[done - 1]))
             })?;
             if n == 0 {
                 let (n, record) = (self.next, batch.records[done]);
@@ -186,13 +186,13 @@ impl Onto<'_> {
         &mut self,
         n: u64,
         values: &[Vec<f64>],
-        mut point: impl FnMut(u64) -> Result<Option<(usize, [f64; 3])>, Error>,
+        mut point: impl FnMut(u64) -> Option<(usize, [f64; 3])>,
     ) -> Result<u64, Error> {
         let places = self.scan.world(&self.rewrite.read(n)?);
         // 0 says nothing of a record.
         let mut columns = vec![vec![0.0; places.len()]; self.n_columns];
         for ((i, place), record) in places.iter().enumerate().zip(self.next..) {
-            match point(record)? {
+            match point(record) {
                 Some((row, there)) => {
                     self.scan.require_same(record, *place, there)?;
                     columns.iter_mut().zip(values).for_each(|(c, v)| c[i] = v[row]);

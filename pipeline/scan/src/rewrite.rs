@@ -10,6 +10,7 @@ use pvmap_store::{AtomicFile, ClosedFile, InputFile};
 use crate::error::ScanError;
 use crate::field::ScalarField;
 use crate::las::rewrite::LasRewrite;
+use crate::ply::rewrite::PlyRewrite;
 use crate::source::{Content, Source};
 
 /// Most records at a time: as many as a reader has in its buffer, or fewer.
@@ -40,6 +41,7 @@ pub struct Rewrite<'a> {
 
 enum Rewritten<'a> {
     Las(Box<LasRewrite<'a>>),
+    Ply(Box<PlyRewrite<'a>>),
 }
 
 impl<'a> Rewrite<'a> {
@@ -58,11 +60,8 @@ impl<'a> Rewrite<'a> {
                 LasRewrite::begin(las, (source.info(), input), options, &mut warnings)
                     .map(|las| Rewritten::Las(Box::new(las)))
             }
-            Content::Ply(_) => Err(ScanError::Unsupported {
-                path: source.info().path.clone(),
-                found: "a PLY".to_owned(),
-                advice: "only LAS and LAZ are written again",
-            }),
+            Content::Ply(ply) => PlyRewrite::begin(ply, (source.info(), input), options)
+                .map(|ply| Rewritten::Ply(Box::new(ply))),
         };
         Ok(Rewrite { source, input, content: source.settle(input, begun)?, warnings })
     }
@@ -81,6 +80,7 @@ impl<'a> Rewrite<'a> {
         let n = n.min(MOST_RECORDS);
         let places = match &mut self.content {
             Rewritten::Las(las) => las.read(n),
+            Rewritten::Ply(ply) => ply.read(n),
         };
         self.source.settle(self.input, places)
     }
@@ -92,6 +92,7 @@ impl<'a> Rewrite<'a> {
     pub fn write(&mut self, values: &[Vec<f64>]) -> Result<(), ScanError> {
         match &mut self.content {
             Rewritten::Las(las) => las.write(values),
+            Rewritten::Ply(ply) => ply.write(values),
         }
     }
 
@@ -102,6 +103,7 @@ impl<'a> Rewrite<'a> {
     pub fn close(self) -> Result<ClosedFile, ScanError> {
         let closed = match self.content {
             Rewritten::Las(las) => las.close(),
+            Rewritten::Ply(ply) => ply.close(),
         };
         let closed = self.source.settle(self.input, closed)?;
         self.source.check_unchanged(self.input)?;

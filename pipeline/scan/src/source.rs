@@ -280,10 +280,10 @@ impl Source {
 
     /// Gives the names of what records have beside the fields of their point format, or of the
     /// properties of vertices.
-    pub fn names(&self) -> &[String] {
+    pub fn names(&self) -> Vec<String> {
         match &self.content {
-            Content::Las(las) => las.names(),
-            Content::Ply(_) => &[],
+            Content::Las(las) => las.names().to_vec(),
+            Content::Ply(ply) => ply.names(),
         }
     }
 
@@ -291,7 +291,7 @@ impl Source {
     pub fn rewritten_bytes(&self, fields: &[ScalarField]) -> u64 {
         match &self.content {
             Content::Las(las) => las.rewritten_bytes(self.info.len_bytes, fields),
-            Content::Ply(_) => 0,
+            Content::Ply(ply) => ply.rewritten_bytes(&self.info, fields),
         }
     }
 

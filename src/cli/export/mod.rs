@@ -31,12 +31,14 @@ point is a single return. To keep all that there is:
 
 One scan with all that it has (--points and --scan FILE): the file is read again, record by record,
 and written again as it is, with the new fields behind what each record has: LAS and LAZ as either
-of them. FILE is one of the scans of the octree, found by how many records it has and, if several
-have as many, by its name; export the others one by one. A record that is not where the octree has
-it ends the export: FILE is another scan then, or was changed. A record that pvmap ingest dropped
-stays, with new fields of 0. Kept are header, ids, dates, counts and bounds, all records before and
-behind the points, wave packets and extra bytes. Changed are the generating software, which is
-pvmap export, and how a LAZ is cut; left out is the index of a COPC, whose records keep their order.
+of them, PLY as PLY. FILE is one of the scans of the octree, found by how many records it has and,
+if several have as many, by its name; export the others one by one. A record that is not where the
+octree has it ends the export: FILE is another scan then, or was changed. A record that pvmap
+ingest dropped stays, with new fields of 0. Kept are of LAS the header with ids, dates, counts and
+bounds, all records before and behind the points, wave packets and extra bytes; of PLY its form,
+text or binary, all properties and elements, lists, and comments. Changed are the generating
+software of a LAS, which is pvmap export, and how a LAZ is cut; left out is the index of a COPC,
+whose records keep their order. A PLY that was cut short is refused.
 
 Fields:
   visible-from=X,Y,Z   visible_from: 1 where the surfel of a point sees that of the place, or is
@@ -54,8 +56,8 @@ Fields:
   source               source: which scan it is of, from 0
 A field of a kind that was given before, or of a name that the records of --scan have, is named
 visible_from_2, then visible_from_3, ...
-LAS has fields as extra bytes. PLY has them as properties of a vertex, behind x y z nx ny nz red
-green blue intensity classification gps_time, of which those stand that the scans have.
+LAS has fields as extra bytes. PLY has them as properties of a vertex, without --scan behind x y z
+nx ny nz red green blue intensity classification gps_time, of which those stand that the scans have.
 
 A file that is there is replaced only if pvmap export made it, or with --overwrite: a scan never is
 otherwise. All outputs are begun before any work, and get their names together when all is done.

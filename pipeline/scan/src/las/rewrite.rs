@@ -19,7 +19,7 @@ use super::header::{Header, RECORD_BYTES};
 use super::vlr::{Records, VLR_HEADER_BYTES, VlrPlace, walk_extended, walk_plain};
 use super::write::{descriptor, whole_texts};
 use super::{LasFile, RawRecords};
-use crate::bytes::{BLOCK_BYTES, i32_at, u32_at, u64_at};
+use crate::bytes::{copy, i32_at, u32_at, u64_at};
 use crate::error::ScanError;
 use crate::field::{self, ScalarField};
 use crate::rewrite::RewriteOptions;
@@ -390,21 +390,4 @@ impl Tail {
             copy(file, vlr.at..vlr.end(), (out, path))
         })
     }
-}
-
-/// Copies bytes of the input.
-fn copy(
-    file: &InputFile,
-    range: Range<u64>,
-    (out, path): (&mut BufWriter<AtomicFile>, &Path),
-) -> Result<(), ScanError> {
-    let mut block = vec![0; BLOCK_BYTES.min((range.end - range.start) as usize)];
-    let mut at = range.start;
-    while at < range.end {
-        let n = block.len().min((range.end - at) as usize);
-        file.read_exact_at(&mut block[..n], at)?;
-        out.write_all(&block[..n]).map_err(|e| StoreError::io(path, "write", e))?;
-        at += n as u64;
-    }
-    Ok(())
 }

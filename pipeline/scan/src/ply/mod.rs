@@ -5,6 +5,7 @@
 
 mod header;
 pub(crate) mod mesh;
+pub(crate) mod rewrite;
 mod rows;
 mod vertex;
 pub(crate) mod write;

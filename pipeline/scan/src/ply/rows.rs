@@ -106,6 +106,11 @@ impl<'a> TextRows<'a> {
         (self.at, self.number + 1)
     }
 
+    /// Gives the line that was read last, with its end.
+    pub(crate) fn line(&self) -> &[u8] {
+        &self.line
+    }
+
     /// Goes to the next line that is not blank.
     pub(crate) fn advance(&mut self, wanted: &str) -> Result<(), ScanError> {
         loop {
