@@ -4,7 +4,7 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use pvmap::render::Size;
+use pvmap::render::{Side, Size};
 
 use crate::cli::{parse_point, threads_parser};
 
@@ -61,14 +61,13 @@ pub(in crate::cli) struct Args {
     /// top or bottom [default: corner]
     #[arg(
         long,
-        value_enum,
+        value_parser = parse_side,
         default_value = "corner",
         value_name = "SIDE",
         hide_default_value = true,
-        hide_possible_values = true,
         verbatim_doc_comment
     )]
-    pub(super) view: ViewFrom,
+    pub(super) view: Side,
     /// What is up
     #[arg(
         long,
@@ -181,17 +180,6 @@ pub(in crate::cli) struct Args {
     pub(super) threads: usize,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(super) enum ViewFrom {
-    Corner,
-    Front,
-    Back,
-    Left,
-    Right,
-    Top,
-    Bottom,
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 pub(super) enum ColorName {
     Rgb,
@@ -244,6 +232,20 @@ fn parse_width(text: &str) -> Result<f64, String> {
         Ok(v) if v.is_finite() && v >= 0.0 => Ok(v),
         _ => Err("write a width of more than 0, in the scan's units".to_owned()),
     }
+}
+
+/// Reads a side to look from.
+fn parse_side(text: &str) -> Result<Side, String> {
+    Ok(match text {
+        "corner" => Side::Corner,
+        "front" => Side::Front,
+        "back" => Side::Back,
+        "left" => Side::Left,
+        "right" => Side::Right,
+        "top" => Side::Top,
+        "bottom" => Side::Bottom,
+        _ => return Err("write corner, front, back, left, right, top or bottom".to_owned()),
+    })
 }
 
 /// Reads a share, 0 to 1.

@@ -2,10 +2,9 @@
 
 use pvmap::Watch;
 use pvmap::geometry::Frame;
-use pvmap::render::{Lens, RenderError, Side, Source, View};
+use pvmap::render::{Lens, RenderError, Source, View};
 
 use super::Args;
-use super::args::ViewFrom;
 use crate::cli::Context;
 
 /// Finds where to look from.
@@ -26,16 +25,7 @@ pub(super) fn view_of(
         }
         return Ok(view);
     }
-    let side = match args.view {
-        ViewFrom::Corner => Side::Corner,
-        ViewFrom::Front => Side::Front,
-        ViewFrom::Back => Side::Back,
-        ViewFrom::Left => Side::Left,
-        ViewFrom::Right => Side::Right,
-        ViewFrom::Top => Side::Top,
-        ViewFrom::Bottom => Side::Bottom,
-    };
-    View::fitting(splats, side, args.up, lens, args.size, frame)
+    View::fitting(splats, args.view, args.up, lens, args.size, frame)
 }
 
 /// Says where a view that was chosen is seen from, so that it can be refined.
