@@ -18,7 +18,7 @@ use pvmap::geometry::disc::Profile;
 use pvmap::scene::{Mesh, Scene, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::vmap::{OctreeView, Shape};
+use pvmap::vmap::{OctreeView, Shape, Spacing};
 use pvmap::{BuildConfig, IngestRequest, Limits, Mapped, Quiet};
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 
@@ -166,7 +166,14 @@ fn nearest(
     while many - few > 1 {
         // Leaves go with the logarithm of the capacity.
         let leaf_capacity = few.saturating_mul(many).isqrt().clamp(few + 1, many - 1);
-        let options = CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile };
+        let options = CutOptions {
+            max_level,
+            leaf_capacity,
+            max_spread: 0,
+            shape,
+            profile,
+            spacing: Spacing::Leaf,
+        };
         let found = cut(&view, &options, memory, &Quiet)?.surfels.len() as f64;
         let off = (found - n_leaves).abs();
         if off < best.0 {

@@ -111,6 +111,7 @@ pub fn build_with(
         max_spread: config.max_spread,
         shape: config.tree,
         profile: config.profile,
+        spacing: config.spacing,
         interaction: config.interaction.clone(),
         memory_bytes: limits.memory_bytes,
         checkpoint: checkpoints.every,
@@ -125,8 +126,9 @@ fn run(
     options: &BuildOptions,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
-    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, .. } = *options;
-    let cut_options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile };
+    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
+        *options;
+    let cut_options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
     let memory_bytes = options.memory_bytes;
     // The tree gets most; to fill in its spacing takes some of what the points had.
     let points_bytes = memory_bytes / 16 * 5;

@@ -16,7 +16,7 @@ use fastrand::Rng;
 use pvmap::geometry::Positions;
 use pvmap::geometry::disc::Profile;
 use pvmap::query::{Located, Map};
-use pvmap::vmap::{MapView, OctreeView, Shape, Split};
+use pvmap::vmap::{MapView, OctreeView, Shape, Spacing, Split};
 use pvmap::{BuildConfig, Error, Limits, NormalsFrom, Orientation, Quiet};
 
 use crate::common::{
@@ -117,6 +117,7 @@ fn random_config(rng: &mut Rng) -> BuildConfig {
         max_spread: 2 * u16::from(max_level % 2),
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
         profile: if rng.bool() { Profile::Patch } else { Profile::Paper },
+        spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
         interaction: None,
     }
 }
@@ -213,9 +214,9 @@ fn check_cut(octree: &Path, model: &Model, config: &BuildConfig, note: &str) {
         let node = pvmap::vmap::tree::route(&model.tree(), &key).unwrap();
         assert_eq!(node, Some(model.surfels[homes[0]].node as u32), "{note}");
     }
-    let spacing = model::median_spacing(&leaves);
-    for (leaf, surfel) in leaves.iter().zip(&model.surfels) {
-        leaf.check(surfel, spacing, config.profile, note);
+    let half_spacings = model.half_spacings(&leaves, config.spacing);
+    for ((leaf, surfel), h) in leaves.iter().zip(&model.surfels).zip(half_spacings) {
+        leaf.check(surfel, h, (config.profile, config.spacing), note);
     }
     for (id, node) in model.nodes.iter().enumerate() {
         let points: u64 = model.leaves[id].iter().map(|&s| leaves[s].points.len() as u64).sum();

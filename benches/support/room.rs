@@ -4,7 +4,7 @@ use pvmap::geometry::disc::{Disc, Profile};
 use pvmap::scene::{Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::vmap::{OctreeView, Shape, Tree};
+use pvmap::vmap::{OctreeView, Shape, Spacing, Tree};
 use pvmap::{IngestRequest, Limits, Mapped, Quiet};
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 use pvmap_store::Table;
@@ -21,6 +21,7 @@ const CUT: CutOptions = CutOptions {
     max_spread: 0,
     shape: Shape::Binned,
     profile: PROFILE,
+    spacing: Spacing::Leaf,
 };
 
 /// What pairs are decided from.

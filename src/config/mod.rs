@@ -6,7 +6,7 @@ use pvmap_geometry::disc::Profile;
 use pvmap_store::InputFile;
 use pvmap_visibility::VisibilityError;
 use pvmap_visibility::interaction::GIVEN_BYTES;
-use pvmap_vmap::Shape;
+use pvmap_vmap::{Shape, Spacing};
 use serde::Deserialize;
 
 use crate::Error;
@@ -14,7 +14,8 @@ use crate::limits::{Limits, parse_memory};
 use crate::rows::Rows;
 
 /// The presets of `configs/`, embedded.
-pub const PRESETS: [(&str, &str); 3] = [
+pub const PRESETS: [(&str, &str); 4] = [
+    ("accurate", include_str!("../../configs/accurate.toml")),
     ("depth8", include_str!("../../configs/depth8.toml")),
     ("paper", include_str!("../../configs/paper.toml")),
     ("preview", include_str!("../../configs/preview.toml")),
@@ -34,6 +35,8 @@ pub struct BuildConfig {
     pub tree: Shape,
     /// How discs block.
     pub profile: Profile,
+    /// Where the half spacings of leaves come from.
+    pub spacing: Spacing,
     /// Pairs of node ids to start from instead of all siblings. [V-5]
     pub interaction: Option<Vec<(u32, u32)>>,
 }
@@ -46,6 +49,7 @@ impl Default for BuildConfig {
             max_spread: 0,
             tree: Shape::Binned,
             profile: Profile::Patch,
+            spacing: Spacing::Leaf,
             interaction: None,
         }
     }
@@ -65,6 +69,8 @@ pub struct RawConfig {
     pub tree: Option<RawTree>,
     /// `profile`.
     pub profile: Option<RawProfile>,
+    /// `spacing`.
+    pub spacing: Option<RawSpacing>,
     /// `threads`, 0 for all.
     pub threads: Option<usize>,
     /// `memory`, such as "1GiB".
@@ -91,6 +97,16 @@ pub enum RawProfile {
     Patch,
     /// Discs wherever the segment meets their cell.
     Paper,
+}
+
+/// `spacing = "leaf" | "neighbors"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum RawSpacing {
+    /// By the box of a leaf's own points.
+    Leaf,
+    /// By the boxes of the leaves around it.
+    Neighbors,
 }
 
 /// The table `[interaction]`.
@@ -141,6 +157,7 @@ impl RawConfig {
             max_spread: self.max_spread.or(below.max_spread),
             tree: self.tree.or(below.tree),
             profile: self.profile.or(below.profile),
+            spacing: self.spacing.or(below.spacing),
             threads: self.threads.or(below.threads),
             memory: self.memory.or(below.memory),
             interaction: self.interaction.or(below.interaction),
@@ -185,6 +202,11 @@ impl RawConfig {
                 None => defaults.profile,
                 Some(RawProfile::Patch) => Profile::Patch,
                 Some(RawProfile::Paper) => Profile::Paper,
+            },
+            spacing: match self.spacing {
+                None => defaults.spacing,
+                Some(RawSpacing::Leaf) => Spacing::Leaf,
+                Some(RawSpacing::Neighbors) => Spacing::Neighbors,
             },
             interaction: match self.interaction.and_then(|i| i.list) {
                 None => None,

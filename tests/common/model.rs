@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use pvmap::geometry::GridPoint;
 use pvmap::geometry::disc::Profile;
 use pvmap::vmap::tree::RoutingKey;
-use pvmap::vmap::{Node, Split, Surfel, Tree};
+use pvmap::vmap::{Node, Spacing, Split, Surfel, Tree};
 
 type Vector = [i128; 3];
 
@@ -353,24 +353,34 @@ impl Leaf {
         ([0, 1, 2].map(|i| all(i).min().unwrap_or(0)), [0, 1, 2].map(|i| all(i).max().unwrap_or(0)))
     }
 
+    /// Gives the product of the two longest sides (+1) of its points' box.
+    fn area(&self) -> u128 {
+        let (min, max) = self.bounds();
+        let mut sides = [0, 1, 2].map(|i| u128::from(max[i] - min[i]) + 1);
+        sides.sort_unstable();
+        sides[1] * sides[2]
+    }
+
     /// Gives h where it has points enough: max(1, isqrt(e1·e2/m) div 2).
     fn half_spacing(&self) -> Option<i128> {
-        let (min, max) = self.bounds();
-        let mut sides = [0, 1, 2].map(|i| u64::from(max[i] - min[i]) + 1);
-        sides.sort_unstable();
-        let area = sides[1] * sides[2] / self.points.len().max(1) as u64;
-        (self.points.len() >= 4).then(|| i128::from(area.isqrt() / 2).max(1))
+        let area = self.area() / self.points.len().max(1) as u128;
+        (self.points.len() >= 4).then(|| (area.isqrt() as i128 / 2).max(1))
     }
 
     /// Checks the surfel against the points.
-    pub fn check(&self, surfel: &Disc, median: i128, profile: Profile, note: &str) {
+    pub fn check(
+        &self,
+        surfel: &Disc,
+        h: i128,
+        (profile, spacing): (Profile, Spacing),
+        note: &str,
+    ) {
         let n = self.points.len() as i128;
         assert!(n > 0 && n == i128::from(surfel.n_points), "points: {note}");
         let sum = |i: usize| self.points.iter().map(|p| i128::from(p.g[i])).sum::<i128>();
         // Rounded half up: floor(mean + 1/2).
         let mean = [0, 1, 2].map(|i| (2 * sum(i) + n).div_euclid(2 * n));
         assert_eq!(surfel.centroid, mean, "centroid: {note}");
-        let h = self.half_spacing().unwrap_or(median);
         assert_eq!(surfel.half_spacing, h, "half spacing: {note}");
         let (min, max) = self.bounds();
         let patch = (min.map(|c| i128::from(c) - h), max.map(|c| i128::from(c) + h));
@@ -380,7 +390,14 @@ impl Leaf {
             dot(off, off)
         });
         let radius2 = far.max().unwrap_or(0);
-        let radius2 = if profile == Profile::Patch { radius2.max(h * h) } else { radius2 };
+        let radius2 = match (profile, spacing) {
+            (Profile::Paper, _) => radius2,
+            (Profile::Patch, Spacing::Leaf) => radius2.max(h * h),
+            (Profile::Patch, Spacing::Neighbors) => {
+                let root = radius2.isqrt();
+                (root + i128::from(root * root < radius2) + h).pow(2)
+            }
+        };
         assert_eq!(surfel.radius2, radius2, "radius: {note}");
         let has_normal = |p: &&RoutingKey| p.normal != [0; 3];
         let n_normals = self.points.iter().filter(has_normal).count();
@@ -390,9 +407,43 @@ impl Leaf {
     }
 }
 
-/// Gives the lower median of the half spacings that leaves have of their own, 1 if none has.
-pub fn median_spacing(leaves: &[Leaf]) -> i128 {
-    let mut known: Vec<i128> = leaves.iter().filter_map(Leaf::half_spacing).collect();
-    known.sort_unstable();
-    known.get(known.len().saturating_sub(1) / 2).copied().unwrap_or(1)
+impl Model {
+    /// Gives the half spacings of the leaves; where none is known it is the lower median of the
+    /// others, 1 if there is none.
+    pub fn half_spacings(&self, leaves: &[Leaf], spacing: Spacing) -> Vec<i128> {
+        let known: Vec<Option<i128>> = match spacing {
+            Spacing::Leaf => leaves.iter().map(Leaf::half_spacing).collect(),
+            Spacing::Neighbors => {
+                (0..leaves.len()).map(|leaf| self.spacing_around(leaves, leaf)).collect()
+            }
+        };
+        let mut sorted: Vec<i128> = known.iter().copied().flatten().collect();
+        sorted.sort_unstable();
+        let median = sorted.get(sorted.len().saturating_sub(1) / 2).copied().unwrap_or(1);
+        known.into_iter().map(|h| h.unwrap_or(median)).collect()
+    }
+
+    /// Gives 3/8 of the spacing in the smallest subtree around a leaf with 16 points, [F-21].
+    fn spacing_around(&self, leaves: &[Leaf], leaf: usize) -> Option<i128> {
+        let subtrees = self.nodes.iter().zip(&self.leaves);
+        let around = subtrees.filter(|(n, held)| n.split != Split::Bins && held.contains(&leaf));
+        let mut around: Vec<_> = around.map(|(_, held)| held).collect();
+        around.sort_by_key(|held| held.len());
+        let n_in = |held: &[usize]| held.iter().map(|&s| leaves[s].points.len()).sum::<usize>();
+        let held = around.iter().find(|held| n_in(held) >= 16).or(around.last())?;
+        let of = |l: &Leaf| {
+            let m = l.points.len() as u128;
+            (l.area() * (m + 1).pow(2) / (m - 1).pow(2), m)
+        };
+        let large = held.iter().map(|&s| &leaves[s]).filter(|l| l.points.len() >= 3).map(of);
+        let (area, m) = large.fold((0, 0), |(area, m), (a, n)| (area + a, m + n));
+        let together =
+            Leaf { points: held.iter().flat_map(|&s| leaves[s].points.iter().copied()).collect() };
+        let (area, m) = match m {
+            _ if n_in(held) < 4 => return None,
+            0 => of(&together),
+            _ => (area, m),
+        };
+        Some(((9 * area / (64 * m)).isqrt() as i128).max(1))
+    }
 }

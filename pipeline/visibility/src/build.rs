@@ -15,7 +15,7 @@ use pvmap_store::{StoreError, Table, Watch, WorkFolder};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::map::config_text;
 use pvmap_vmap::tree::disc_of;
-use pvmap_vmap::{MapSummary, Shape, Tree};
+use pvmap_vmap::{MapSummary, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
 use crate::bounds::{self, Bounds};
@@ -44,6 +44,8 @@ pub struct BuildOptions {
     pub shape: Shape,
     /// How discs block.
     pub profile: Profile,
+    /// Where the half spacings come from.
+    pub spacing: Spacing,
     /// Pairs to start from instead of all siblings. [V-5]
     pub interaction: Option<Vec<Pair>>,
     /// Most anonymous memory to hold, less 16 MiB and 2 MiB a thread. [D-9]
@@ -354,6 +356,7 @@ fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
             pairs.iter().flat_map(|&(a, b)| [a.to_le_bytes(), b.to_le_bytes()].concat()).collect();
         (pairs.len() as u32, xxhash_rust::xxh3::xxh3_128(&rows))
     });
-    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, .. } = *options;
-    config_text(max_level, leaf_capacity, max_spread, shape, profile, pairs)
+    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
+        *options;
+    config_text(max_level, leaf_capacity, max_spread, shape, profile, spacing, pairs)
 }

@@ -28,4 +28,4 @@ pub use map::MapView;
 pub use octree::OctreeView;
 pub use records::{MapSummary, Node, OctreeSummary, Source, Split, Surfel};
 pub use router::Router;
-pub use tree::{Shape, Tree};
+pub use tree::{Shape, Spacing, Tree};

@@ -433,9 +433,10 @@ pub fn config_text(
     max_spread: u16,
     shape: crate::Shape,
     profile: pvmap_geometry::disc::Profile,
+    spacing: crate::Spacing,
     pairs: Option<(u32, u128)>,
 ) -> String {
-    use crate::Shape;
+    use crate::{Shape, Spacing};
     use pvmap_geometry::disc::Profile;
     let tree = match shape {
         Shape::Binned => "binned",
@@ -451,6 +452,10 @@ pub fn config_text(
     );
     if max_spread > 0 {
         text.push_str(&format!("max_spread = {max_spread}\n"));
+    }
+    match spacing {
+        Spacing::Leaf => {}
+        Spacing::Neighbors => text.push_str("spacing = \"neighbors\"\n"),
     }
     if let Some((n, digest)) = pairs {
         text.push_str(&format!("interaction_pairs = \"{n}:{digest:032x}\"\n"));
@@ -478,6 +483,13 @@ fn canonical_config(text: &str) -> Option<String> {
         }
         None => 0,
     };
+    let spacing = match next {
+        Some("spacing = \"neighbors\"") => {
+            next = lines.next();
+            crate::Spacing::Neighbors
+        }
+        _ => crate::Spacing::Leaf,
+    };
     let pairs = match next {
         Some(line) => {
             let value = line.strip_prefix("interaction_pairs = \"")?.strip_suffix('"')?;
@@ -487,7 +499,8 @@ fn canonical_config(text: &str) -> Option<String> {
         None => None,
     };
     let is_level = (1..=morton::MAX_LEVEL).contains(&max_level);
-    is_level.then(|| config_text(max_level, leaf_capacity, max_spread, shape, profile, pairs))
+    is_level
+        .then(|| config_text(max_level, leaf_capacity, max_spread, shape, profile, spacing, pairs))
 }
 
 /// Reads the profile out of a canonical configuration text.

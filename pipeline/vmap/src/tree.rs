@@ -15,6 +15,15 @@ pub enum Shape {
     Binned,
 }
 
+/// Where the half spacing of a leaf comes from, the margin of its patch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Spacing {
+    /// The box of its own points. Source: DESIGN.md §3.
+    Leaf,
+    /// The boxes of the leaves around it, 16 points in all; it widens R, too. [F-21]
+    Neighbors,
+}
+
 /// Nodes in preorder and surfels in leaf order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tree {

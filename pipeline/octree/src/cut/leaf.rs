@@ -7,7 +7,6 @@ use pvmap_geometry::{Box3, GridPoint};
 use pvmap_vmap::{Shape, Surfel};
 
 use super::points::{LeafPoint, Reader};
-use super::spacing;
 use crate::OctreeError;
 
 /// The points of a leaf, to be gone through as often as needed.
@@ -90,8 +89,9 @@ impl<'a> LeafPoints<'a> {
 
     /// Makes the surfel of a leaf of at least one point.
     ///
-    /// Its patch box and R² are those of the points alone, and its half spacing is 0 below four
-    /// points, until [`spacing::fill`] has seen the whole tree. The caller fills in cell and node.
+    /// Its patch box and R² are those of the points alone, and its half spacing is 0, until
+    /// [`spacing::fill`](super::spacing::fill) has seen the whole tree. The caller fills in cell
+    /// and node.
     ///
     /// # Errors
     /// Those of [`Reader::each`].
@@ -108,7 +108,7 @@ impl<'a> LeafPoints<'a> {
             centroid,
             normal,
             two_sided,
-            half_spacing: spacing::half_spacing(&sums.bounds, sums.n_points).unwrap_or(0),
+            half_spacing: 0,
             radius2: self.farthest2(centroid)?,
             n_points: sums.n_points,
             first_code: 0,

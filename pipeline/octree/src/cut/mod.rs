@@ -4,7 +4,7 @@
 //! (one in all for `paper`), which holds no more than the points of one unsettled cell; the points
 //! of a settled leaf become a surfel (`leaf`), or several where their normals stray; where they are
 //! spread thin (`spread`) they go on to smaller cells. What only
-//! the whole tree knows is filled in at the end: the spacing of small leaves (`spacing`), and how
+//! the whole tree knows is filled in at the end: the spacing of leaves (`spacing`), and how
 //! far patches leave their cells.
 //!
 //! Start reading at [`cut`].
@@ -23,7 +23,7 @@ use pvmap_geometry::disc::Profile;
 use pvmap_store::Watch;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::{self, root_node};
-use pvmap_vmap::{Node, OctreeView, Shape, Tree};
+use pvmap_vmap::{Node, OctreeView, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
 use crate::OctreeError;
@@ -45,6 +45,8 @@ pub struct CutOptions {
     pub shape: Shape,
     /// Which radius the surfels get: `Patch` raises R² to h².
     pub profile: Profile,
+    /// Where the half spacings come from; `Neighbors` widens R of `Patch` by them.
+    pub spacing: Spacing,
 }
 
 /// The memory a cut may take.
@@ -97,7 +99,7 @@ pub fn cut(
     drop(window);
     let parts = cutters.into_par_iter().map(Cutter::finish);
     let mut tree = join(options.shape, n_points, parts.collect::<Result<_, _>>()?)?;
-    spacing::fill(&mut tree.surfels, options.profile);
+    spacing::fill(&mut tree, options.spacing, options.profile);
     tree::fill_overhangs(&mut tree);
     Ok(tree)
 }

@@ -12,7 +12,7 @@ use pvmap_vmap::links::LinkEncoder;
 use pvmap_vmap::map::{SECTIONS, close_map, config_text};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
 use pvmap_vmap::tree::{fill_overhangs, root_node};
-use pvmap_vmap::{MapSummary, Node, Shape, Split, Surfel, Tree};
+use pvmap_vmap::{MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
 
 /// A sample with an oriented normal, or [0; 3] without one.
 pub(crate) type Sample = (GridPoint, Normal);
@@ -220,7 +220,8 @@ impl Parts {
             n_visible_pairs: links.iter().map(|&l| n_leaf_pairs(tree, l)).sum(),
             digest: 7,
         };
-        let config = config_text(21, 1, 0, Shape::Binned, profile, given.then_some((3, 5)));
+        let config =
+            config_text(21, 1, 0, Shape::Binned, profile, Spacing::Leaf, given.then_some((3, 5)));
         let frame = FrameRecord { frame, crs_kind: CrsKind::None };
         let contents = [
             (MapSummary::BYTES, summary.to_bytes()),

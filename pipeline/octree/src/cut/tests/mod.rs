@@ -10,7 +10,7 @@ use pvmap_geometry::GridPoint;
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::Normal;
 use pvmap_store::Quiet;
-use pvmap_vmap::{OctreeView, Shape, Tree};
+use pvmap_vmap::{OctreeView, Shape, Spacing, Tree};
 
 use super::{CutMemory, CutOptions, cut};
 use octree_file::octree_file;
@@ -49,7 +49,8 @@ impl TestPoint {
 
 /// Options with profile `patch`.
 fn options(shape: Shape, max_level: u8, leaf_capacity: u64) -> CutOptions {
-    CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile: Profile::Patch }
+    let (profile, spacing) = (Profile::Patch, Spacing::Leaf);
+    CutOptions { max_level, leaf_capacity, max_spread: 0, shape, profile, spacing }
 }
 
 /// Cuts a cloud of which every source has 8-bit colour.

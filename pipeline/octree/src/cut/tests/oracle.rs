@@ -6,7 +6,7 @@ use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::Normal;
 use pvmap_geometry::{Box3, morton};
 use pvmap_vmap::records::NO_PARENT;
-use pvmap_vmap::{Node, Shape, Split, Surfel, Tree};
+use pvmap_vmap::{Node, Shape, Spacing, Split, Surfel, Tree};
 
 use super::TestPoint;
 use crate::cut::CutOptions;
@@ -173,28 +173,29 @@ impl Oracle {
     }
 
     fn finish(mut self) -> Tree {
-        for s in self.tree.surfels.iter_mut().filter(|s| s.n_points >= 4) {
-            let mut e = [0, 1, 2].map(|i| i128::from(s.patch.max[i] - s.patch.min[i] + 1));
-            e.sort_by_key(|&v| -v);
-            s.half_spacing = (root(e[0] * e[1] / i128::from(s.n_points)) / 2).max(1) as u32;
-        }
-        let own = self.tree.surfels.iter().filter(|s| s.n_points >= 4);
-        let mut own: Vec<u32> = own.map(|s| s.half_spacing).collect();
+        let half_spacings = match self.options.spacing {
+            Spacing::Leaf => self.tree.surfels.iter().map(own_half_spacing).collect(),
+            Spacing::Neighbors => half_spacings_around(&self.tree),
+        };
+        let mut own: Vec<u32> = half_spacings.iter().copied().flatten().collect();
         own.sort();
         let lower_median = match own.len() {
             0 => 1,
             n if n % 2 == 1 => own[n / 2],
             n => own[n / 2 - 1],
         };
-        for s in &mut self.tree.surfels {
-            if s.n_points < 4 {
-                s.half_spacing = lower_median;
-            }
+        for (s, half_spacing) in self.tree.surfels.iter_mut().zip(half_spacings) {
+            s.half_spacing = half_spacing.unwrap_or(lower_median);
             let h = s.half_spacing as i32;
             s.patch.min = s.patch.min.map(|v| v - h);
             s.patch.max = s.patch.max.map(|v| v + h);
             if self.options.profile == Profile::Patch {
-                s.radius2 = s.radius2.max(h as u64 * h as u64);
+                let (h, far2) = (i128::from(h), i128::from(s.radius2));
+                let far = root(far2) + i128::from(root(far2).pow(2) < far2);
+                s.radius2 = match self.options.spacing {
+                    Spacing::Leaf => far2.max(h * h),
+                    Spacing::Neighbors => ((far + h) * (far + h)).min((1 << 46) - 1),
+                } as u64;
             }
         }
         for node in &mut self.tree.nodes {
@@ -209,6 +210,52 @@ impl Oracle {
         }
         self.tree
     }
+}
+
+/// Gives the half spacing around each leaf by going through all nodes.
+fn half_spacings_around(tree: &Tree) -> Vec<Option<u32>> {
+    let around = |leaf: u32| {
+        let over = |n: &&Node| (n.first_surfel..n.end_surfel).contains(&leaf);
+        let mut over: Vec<&Node> =
+            tree.nodes.iter().filter(over).filter(|n| n.split != Split::Bins).collect();
+        over.sort_by_key(|n| n.n_points);
+        let found = over.iter().find(|n| n.n_points >= 16).or(over.last());
+        let node = found.expect("a leaf is under itself");
+        &tree.surfels[node.first_surfel as usize..node.end_surfel as usize]
+    };
+    let stands_for = |e1e2: i128, m: i128| e1e2 * (m + 1) * (m + 1) / ((m - 1) * (m - 1));
+    let half_spacing = |leaf: u32| {
+        let leaves = around(leaf);
+        let n_all: u64 = leaves.iter().map(|s| s.n_points).sum();
+        if n_all < 4 {
+            return None;
+        }
+        let (mut area, mut n) = (0, 0);
+        for s in leaves.iter().filter(|s| s.n_points > 2) {
+            area += stands_for(longest_sides(&s.patch), s.n_points.into());
+            n += i128::from(s.n_points);
+        }
+        if n == 0 {
+            n = n_all.into();
+            let all = leaves.iter().map(|s| s.patch).reduce(|a, b| a.join(&b));
+            area = stands_for(longest_sides(&all.expect("it has leaves")), n);
+        }
+        Some(root(9 * area / (64 * n)).max(1) as u32)
+    };
+    (0..tree.surfels.len() as u32).map(half_spacing).collect()
+}
+
+/// Gives h by the box of the leaf's own points, if they are four.
+fn own_half_spacing(s: &Surfel) -> Option<u32> {
+    let area = longest_sides(&s.patch) / i128::from(s.n_points);
+    (s.n_points >= 4).then(|| (root(area) / 2).max(1) as u32)
+}
+
+/// Gives e1·e2 of a box.
+fn longest_sides(bounds: &Box3) -> i128 {
+    let mut e = [0, 1, 2].map(|i| i128::from(bounds.max[i] - bounds.min[i] + 1));
+    e.sort_by_key(|&v| -v);
+    e[0] * e[1]
 }
 
 fn group(points: &[TestPoint], by: impl Fn(&TestPoint) -> u8) -> BTreeMap<u8, Vec<TestPoint>> {

@@ -8,7 +8,7 @@ use pvmap_geometry::normal::{Normal, quantise};
 use pvmap_store::Quiet;
 use pvmap_vmap::Router;
 use pvmap_vmap::tree::route;
-use pvmap_vmap::{OctreeView, Shape, Tree};
+use pvmap_vmap::{OctreeView, Shape, Spacing, Tree};
 
 use super::octree_file::{key_of, octree_file};
 use super::oracle::cut_slowly;
@@ -65,6 +65,7 @@ fn random_options(rng: &mut Rng) -> impl Iterator<Item = CutOptions> {
     // Only leaves of four points and more can be spread.
     let max_spread = [0, 1, 3][rng.usize(..3)];
     let leaf_capacity = rng.u64(0..=if max_spread > 0 { 20 } else { 5 });
+    let spacing = if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors };
     let both = [Shape::Paper, Shape::Binned];
     both.into_iter().flat_map(move |shape| {
         [Profile::Paper, Profile::Patch].map(|profile| CutOptions {
@@ -73,6 +74,7 @@ fn random_options(rng: &mut Rng) -> impl Iterator<Item = CutOptions> {
             max_spread,
             shape,
             profile,
+            spacing,
         })
     })
 }
