@@ -6,10 +6,10 @@ mod cli_common;
 mod export_common;
 
 use std::path::Path;
-use std::process::Command;
 
 use cli_common::{Bench, TWO_THREADS, data, floor};
-use export_common::{FIELD_BYTES, FIELDS, fields_of, scan};
+use export_common::raw::{records, word};
+use export_common::{FIELD_BYTES, FIELDS, fields_of, python, scan};
 use fastrand::Rng;
 use las::point::Format;
 use las::{Builder, PointDataBuilder, Reader, Transform, Vector, Vlr, Writer};
@@ -86,22 +86,6 @@ fn write(path: &Path, point_format: u8, seed: u64) {
     let points = PointDataBuilder::new().with_format(format).with_transforms(transforms);
     writer.write_points(&points.build_from_bytes(rows(&format, seed)).unwrap()).unwrap();
     writer.close().unwrap();
-}
-
-/// Gives the bytes of all records, and how many a record has.
-fn records(path: &Path) -> (Vec<u8>, usize) {
-    let bytes = std::fs::read(path).unwrap();
-    if bytes[104] & 0x80 == 0 {
-        let (start, n_bytes) = (word(&bytes, 96), word(&bytes, 105) & 0xffff);
-        let n_points = word(&bytes, if bytes[25] > 3 { 247 } else { 107 });
-        return (bytes[start..start + n_points * n_bytes].to_vec(), n_bytes);
-    }
-    let points = Reader::from_path(path).unwrap().read_all().unwrap();
-    (points.raw_bytes().to_vec(), points.record_len())
-}
-
-fn word(bytes: &[u8], at: usize) -> usize {
-    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
 }
 
 /// Ingests and builds `name`, whose normals are estimated.
@@ -215,20 +199,6 @@ for name in ['out.las', 'out.laz']:
     assert evlrs[0] == evlrs[1] and len(evlrs[0]) == 2
 ";
     python(&bench, "laspy", script);
-}
-
-/// Runs a script, or says that it cannot.
-fn python(bench: &Bench, module: &str, script: &str) {
-    let run = |script: &str| {
-        let mut python = Command::new("python3");
-        python.current_dir(bench.path("")).args(["-c", script]).output()
-    };
-    if !run(&format!("import numpy, {module}")).is_ok_and(|o| o.status.success()) {
-        eprintln!("skipped: no python3 with numpy and {module}");
-        return;
-    }
-    let output = run(script).unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

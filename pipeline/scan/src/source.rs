@@ -282,7 +282,7 @@ impl Source {
     /// properties of vertices.
     pub fn names(&self) -> Vec<String> {
         match &self.content {
-            Content::Las(las) => las.names().to_vec(),
+            Content::Las(las) => las.names(),
             Content::Ply(ply) => ply.names(),
         }
     }

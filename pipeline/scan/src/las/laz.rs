@@ -11,7 +11,7 @@ use std::ops::{Range, RangeInclusive};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use laz::laszip::ChunkTable;
+use laz::laszip::{ChunkTable, LazItemRecordBuilder};
 use laz::record::{
     LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor,
 };
@@ -19,7 +19,7 @@ use laz::{LazItem, LazVlr};
 use pvmap_geometry::PointBatch;
 use pvmap_store::InputFile;
 
-use super::header::Header;
+use super::header::{Header, RECORD_BYTES};
 use super::records::RecordLayout;
 use crate::bytes::{BLOCK_BYTES, Window, take, u16_at, u32_at};
 use crate::error::ScanError;
@@ -34,6 +34,9 @@ const POINTER_BYTES: u64 = 8;
 
 /// Bytes of the chunk table before its coded entries: version and count.
 const TABLE_HEAD_BYTES: u64 = 8;
+
+/// The type of the item for wave packets of point formats 4 and 5.
+const WAVE_PACKET_13: u16 = 9;
 
 thread_local! {
     static IS_DECODING: Cell<bool> = const { Cell::new(false) };
@@ -51,6 +54,22 @@ fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     let result = catch_unwind(AssertUnwindSafe(decode));
     IS_DECODING.set(false);
     result.unwrap_or_else(|_| Err("the compressed bytes make no sense".to_owned()))
+}
+
+/// Says how points of a format are compressed whose records have `record_bytes`.
+pub(super) fn vlr_of(point_format: u8, record_bytes: u16) -> Result<LazVlr, String> {
+    let n_extra = record_bytes - RECORD_BYTES[usize::from(point_format)];
+    let items = LazItemRecordBuilder::default_for_point_format_id(point_format, n_extra);
+    let vlr = LazVlr::from_laz_items(items.map_err(|e| e.to_string())?);
+    let mut bytes = Vec::new();
+    vlr.write_to(&mut bytes).map_err(|e| e.to_string())?;
+    // The crate calls its one coder of wave packets version 2; LASzip knows it as 1 and refuses 2.
+    for item in bytes[VLR_BYTES..].chunks_exact_mut(ITEM_BYTES) {
+        if u16_at(item, 0) == WAVE_PACKET_13 {
+            item[4..6].copy_from_slice(&1u16.to_le_bytes());
+        }
+    }
+    LazVlr::from_buffer(&bytes).map_err(|e| e.to_string())
 }
 
 /// How the points of a LAZ file are cut and coded.

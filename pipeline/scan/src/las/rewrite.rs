@@ -9,14 +9,13 @@ use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use laz::laszip::LazItemRecordBuilder;
 use laz::{LasZipCompressor, LazVlr};
 use pvmap_geometry::Positions;
 use pvmap_store::{AtomicFile, ClosedFile, InputFile, StoreError};
 
 use super::extra::descriptors;
 use super::header::{Header, RECORD_BYTES};
-use super::vlr::{Records, VLR_HEADER_BYTES, VlrPlace, walk_extended, walk_plain};
+use super::vlr::{Kind, VlrName, walk_extended, walk_plain};
 use super::write::{descriptor, whole_texts};
 use super::{LasFile, RawRecords};
 use crate::bytes::{copy, i32_at, u32_at, u64_at};
@@ -82,12 +81,13 @@ impl<'a> LasRewrite<'a> {
         if head[6] & HAS_WAVE_FILE != 0 {
             warnings.push("its wave packets are in a .wdp file: copy that to its name, too".into());
         }
-        let laz = compressed.then(|| laz_vlr(header, record_bytes)).transpose().map_err(fail)?;
-        let extra = describe(las, file, fields, warnings)?;
+        let laz = compressed.then(|| super::laz::vlr_of(header.point_format, record_bytes));
+        let laz = laz.transpose().map_err(fail)?;
+        let extra = describe(las, fields, warnings);
         let out = BufWriter::with_capacity(1 << 20, output);
         let mut front = Front { out, n_vlrs: 0, path: path.clone() };
         front.write(&head)?;
-        front.copy_vlrs(file, header, (&extra, laz.as_ref()), fields, warnings)?;
+        front.copy_vlrs(las, file, (&extra, laz.as_ref()), fields, warnings)?;
         let Front { mut out, n_vlrs, .. } = front;
         let begin = out.stream_position().map_err(|e| StoreError::io(&path, "write", e))?;
         let begin = u32::try_from(begin).map_err(|_| fail("too much before its points".into()))?;
@@ -226,27 +226,12 @@ fn patch_counts(head: &mut [u8], header: &Header, n: u64, n_of_return: &[u64; N_
     }
 }
 
-/// Says how points of a file are compressed whose records have `record_bytes`.
-fn laz_vlr(header: &Header, record_bytes: u16) -> Result<LazVlr, String> {
-    let n_extra = record_bytes - RECORD_BYTES[usize::from(header.point_format)];
-    let items = LazItemRecordBuilder::default_for_point_format_id(header.point_format, n_extra);
-    Ok(LazVlr::from_laz_items(items.map_err(|e| e.to_string())?))
-}
-
 /// Describes the extra bytes of the file and the fields behind them.
-fn describe(
-    las: &LasFile,
-    file: &InputFile,
-    fields: &[ScalarField],
-    warnings: &mut Vec<String>,
-) -> Result<Vec<u8>, ScanError> {
-    let header = &las.header;
-    // What it warns of was told when the file was opened.
-    let was = Records::read(file, header, las.options.lenient, &mut Vec::new())?.extra_bytes;
-    let n_extra = header.record_bytes - RECORD_BYTES[usize::from(header.point_format)];
-    let mut all = descriptors(was.as_deref().unwrap_or_default(), n_extra.into(), warnings);
+fn describe(las: &LasFile, fields: &[ScalarField], warnings: &mut Vec<String>) -> Vec<u8> {
+    let n_extra = las.header.record_bytes - RECORD_BYTES[usize::from(las.header.point_format)];
+    let mut all = descriptors(&las.extra.descriptors, n_extra.into(), warnings);
     all.extend(fields.iter().flat_map(descriptor));
-    Ok(all)
+    all
 }
 
 /// What stands between the header and the points.
@@ -261,83 +246,56 @@ impl Front {
     /// replaced where they stand, or put behind the others.
     fn copy_vlrs(
         &mut self,
+        las: &LasFile,
         file: &InputFile,
-        header: &Header,
         (extra, laz): (&[u8], Option<&LazVlr>),
         fields: &[ScalarField],
         warnings: &mut Vec<String>,
     ) -> Result<(), ScanError> {
+        let header = &las.header;
         let (mut extra, mut laz) = ((!extra.is_empty()).then_some(extra), laz);
-        let end = walk_plain(file, header, |vlr| match kind_of(vlr) {
-            Kind::Extra => extra.take().map_or(Ok(()), |e| self.put_extra(e)),
-            Kind::Laz => laz.take().map_or(Ok(()), |laz| self.put_laz(laz)),
+        let end = walk_plain(file, header, |vlr| match vlr.name.kind() {
+            Kind::ExtraBytes => extra.take().map_or(Ok(()), |e| self.put(&vlr.name, e)),
+            Kind::Laszip => laz.take().map_or(Ok(()), |laz| self.put_laz(&vlr.name, laz)),
             Kind::Copc => {
                 let what = "it is no COPC any more: the index of its points is left out";
                 warnings.push(what.to_owned());
                 Ok(())
             }
-            Kind::Other => {
+            _ => {
                 self.n_vlrs += 1;
                 copy(file, vlr.at..vlr.end(), (&mut self.out, &self.path))
             }
         })?;
-        extra.map_or(Ok(()), |extra| self.put_extra(extra))?;
+        let name = las.extra.name.unwrap_or_else(VlrName::extra_bytes);
+        extra.map_or(Ok(()), |extra| self.put(&name, extra))?;
         if let Some(text) = whole_texts(fields) {
-            self.put((&text.user_id, text.record_id, &text.description), &text.data)?;
+            let name = VlrName::new(&text.user_id, text.record_id, &text.description);
+            self.put(&name, &text.data)?;
         }
-        laz.map_or(Ok(()), |laz| self.put_laz(laz))?;
+        laz.map_or(Ok(()), |laz| self.put_laz(&VlrName::laszip(), laz))?;
         copy(file, end..header.points_offset, (&mut self.out, &self.path))
     }
 
-    fn put_extra(&mut self, descriptors: &[u8]) -> Result<(), ScanError> {
-        self.put(("LASF_Spec", 4, "extra bytes"), descriptors)
-    }
-
-    fn put_laz(&mut self, laz: &LazVlr) -> Result<(), ScanError> {
+    fn put_laz(&mut self, name: &VlrName, laz: &LazVlr) -> Result<(), ScanError> {
         let mut data = Vec::new();
         laz.write_to(&mut data).map_err(|e| StoreError::io(&self.path, "write", e))?;
-        self.put(("laszip encoded", 22204, "compression"), &data)
+        self.put(name, &data)
     }
 
     /// Writes a record of our own.
-    fn put(
-        &mut self,
-        (user_id, record_id, description): (&str, u16, &str),
-        data: &[u8],
-    ) -> Result<(), ScanError> {
+    fn put(&mut self, name: &VlrName, data: &[u8]) -> Result<(), ScanError> {
         let n_bytes = u16::try_from(data.len()).map_err(|_| ScanError::Write {
             path: self.path.clone(),
             problem: format!("too many extra bytes to describe: {}", data.len()),
         })?;
-        let mut head = [0; VLR_HEADER_BYTES as usize];
-        head[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
-        head[18..20].copy_from_slice(&record_id.to_le_bytes());
-        head[20..22].copy_from_slice(&n_bytes.to_le_bytes());
-        head[22..22 + description.len()].copy_from_slice(description.as_bytes());
         self.n_vlrs += 1;
-        self.write(&head)?;
+        self.write(&name.plain(n_bytes))?;
         self.write(data)
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), ScanError> {
         Ok(self.out.write_all(bytes).map_err(|e| StoreError::io(&self.path, "write", e))?)
-    }
-}
-
-/// What becomes of a record.
-enum Kind {
-    Extra,
-    Laz,
-    Copc,
-    Other,
-}
-
-fn kind_of(vlr: &VlrPlace) -> Kind {
-    match (vlr.user(), vlr.record_id) {
-        (b"LASF_Spec", 4) => Kind::Extra,
-        (b"laszip encoded", 22204) => Kind::Laz,
-        (b"copc", _) => Kind::Copc,
-        _ => Kind::Other,
     }
 }
 
@@ -376,7 +334,7 @@ impl Tail {
             copy(file, range, (out, path))?;
         }
         walk_extended(file, header, |vlr| {
-            if !matches!(kind_of(vlr), Kind::Other) {
+            if matches!(vlr.name.kind(), Kind::ExtraBytes | Kind::Laszip | Kind::Copc) {
                 return Ok(());
             }
             if has_waves && vlr.at == waves {
