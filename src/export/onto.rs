@@ -66,6 +66,11 @@ impl Scan {
         self.file.rewritten_bytes(fields)
     }
 
+    /// Gives the memory that reading and writing the records hold.
+    pub(super) fn coder_bytes(&self, kind: Kind, fields: &[ScalarField]) -> u64 {
+        self.file.coder_bytes(kind == Kind::Laz, fields)
+    }
+
     /// Writes all records with the values of their points; gives their number.
     pub(super) fn write(
         &self,

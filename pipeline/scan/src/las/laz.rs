@@ -15,7 +15,7 @@ use laz::laszip::{ChunkTable, LazItemRecordBuilder};
 use laz::record::{
     LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor,
 };
-use laz::{LazItem, LazVlr};
+use laz::{LazItem, LazVlr, LazVlrBuilder};
 use pvmap_geometry::PointBatch;
 use pvmap_store::InputFile;
 
@@ -34,6 +34,16 @@ const POINTER_BYTES: u64 = 8;
 
 /// Bytes of the chunk table before its coded entries: version and count.
 const TABLE_HEAD_BYTES: u64 = 8;
+
+/// Most bytes of the records that are coded together, but for very wide ones: of formats 6 and up
+/// the coder holds them all. Other programs code 50 thousand together.
+const CHUNK_BYTES: u32 = 4 << 20;
+const LEAST_CHUNK_POINTS: u32 = 500;
+const MOST_CHUNK_POINTS: u32 = 50_000;
+
+/// What a coder has been seen to hold for each extra byte of formats 6 and up, and before.
+const LAYER_CODER_BYTES: u64 = 20 << 10;
+const BYTE_CODER_BYTES: u64 = 5 << 9;
 
 /// The type of the item for wave packets of point formats 4 and 5.
 const WAVE_PACKET_13: u16 = 9;
@@ -60,7 +70,9 @@ fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
 pub(super) fn vlr_of(point_format: u8, record_bytes: u16) -> Result<LazVlr, String> {
     let n_extra = record_bytes - RECORD_BYTES[usize::from(point_format)];
     let items = LazItemRecordBuilder::default_for_point_format_id(point_format, n_extra);
-    let vlr = LazVlr::from_laz_items(items.map_err(|e| e.to_string())?);
+    let vlr = LazVlrBuilder::new(items.map_err(|e| e.to_string())?)
+        .with_fixed_chunk_size(chunk_points(record_bytes))
+        .build();
     let mut bytes = Vec::new();
     vlr.write_to(&mut bytes).map_err(|e| e.to_string())?;
     // The crate calls its one coder of wave packets version 2; LASzip knows it as 1 and refuses 2.
@@ -70,6 +82,27 @@ pub(super) fn vlr_of(point_format: u8, record_bytes: u16) -> Result<LazVlr, Stri
         }
     }
     LazVlr::from_buffer(&bytes).map_err(|e| e.to_string())
+}
+
+/// Gives how many records of a size are coded together.
+fn chunk_points(record_bytes: u16) -> u32 {
+    (CHUNK_BYTES / u32::from(record_bytes)).clamp(LEAST_CHUNK_POINTS, MOST_CHUNK_POINTS)
+}
+
+/// Gives the memory that coding records as LAZ holds.
+pub(super) fn coder_bytes(point_format: u8, record_bytes: u16) -> u64 {
+    // What is coded together grows by doubling.
+    let chunk_bytes = 2 * u64::from(chunk_points(record_bytes)) * u64::from(record_bytes);
+    held_bytes(point_format, record_bytes, chunk_bytes)
+}
+
+/// Gives the memory of a coder, or a decoder, that has a chunk at hand.
+fn held_bytes(point_format: u8, record_bytes: u16, chunk_bytes: u64) -> u64 {
+    let n_extra = u64::from(record_bytes - RECORD_BYTES[usize::from(point_format)]);
+    if point_format < 6 {
+        return n_extra * BYTE_CODER_BYTES;
+    }
+    n_extra * LAYER_CODER_BYTES + chunk_bytes
 }
 
 /// How the points of a LAZ file are cut and coded.
@@ -145,6 +178,16 @@ impl Laz {
     /// Gives the least and the greatest number of points that the chunk table allows.
     pub(crate) fn n_points(&self) -> RangeInclusive<u64> {
         self.n_points.clone()
+    }
+
+    /// Gives the memory that decoding the records of a file holds.
+    pub(super) fn decoder_bytes(&self, header: &Header) -> u64 {
+        let of = |c: &Chunk| match self.restart_every {
+            Some(n) => (c.end - c.at).min(n * u64::from(header.record_bytes)),
+            None => c.end - c.at,
+        };
+        let chunk_bytes = self.chunks.iter().map(of).max().unwrap_or(0);
+        held_bytes(header.point_format, header.record_bytes, chunk_bytes)
     }
 
     /// Gives the start of the chunk that begins nearest to `record`.

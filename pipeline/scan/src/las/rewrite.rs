@@ -9,7 +9,7 @@ use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use laz::{LasZipCompressor, LazVlr};
+use ::laz::{LasZipCompressor, LazVlr};
 use pvmap_geometry::Positions;
 use pvmap_store::{AtomicFile, ClosedFile, InputFile, StoreError};
 
@@ -17,7 +17,7 @@ use super::extra::descriptors;
 use super::header::{Header, RECORD_BYTES};
 use super::vlr::{Kind, VlrName, walk_extended, walk_plain};
 use super::write::{descriptor, whole_texts};
-use super::{LasFile, RawRecords};
+use super::{LasFile, RawRecords, laz};
 use crate::bytes::{copy, i32_at, u32_at, u64_at};
 use crate::error::ScanError;
 use crate::field::{self, ScalarField};
@@ -72,8 +72,7 @@ impl<'a> LasRewrite<'a> {
             return Err(fail(problem));
         }
         let header = &las.header;
-        let n_added: usize = fields.iter().map(|f| f.kind.n_bytes()).sum();
-        let record_bytes = u16::try_from(las.layout.record_bytes + n_added)
+        let record_bytes = u16::try_from(las.layout.record_bytes + field::n_bytes(fields))
             .map_err(|_| fail("its records would have more than 65535 bytes".to_owned()))?;
         let mut head = vec![0; header.header_bytes as usize];
         file.read_exact_at(&mut head, 0)?;
@@ -81,19 +80,19 @@ impl<'a> LasRewrite<'a> {
         if head[6] & HAS_WAVE_FILE != 0 {
             warnings.push("its wave packets are in a .wdp file: copy that to its name, too".into());
         }
-        let laz = compressed.then(|| super::laz::vlr_of(header.point_format, record_bytes));
-        let laz = laz.transpose().map_err(fail)?;
+        let coded = compressed.then(|| laz::vlr_of(header.point_format, record_bytes));
+        let coded = coded.transpose().map_err(fail)?;
         let extra = describe(las, fields, warnings);
         let out = BufWriter::with_capacity(1 << 20, output);
         let mut front = Front { out, n_vlrs: 0, path: path.clone() };
         front.write(&head)?;
-        front.copy_vlrs(las, file, (&extra, laz.as_ref()), fields, warnings)?;
+        front.copy_vlrs(las, file, (&extra, coded.as_ref()), fields, warnings)?;
         let Front { mut out, n_vlrs, .. } = front;
         let begin = out.stream_position().map_err(|e| StoreError::io(&path, "write", e))?;
         let begin = u32::try_from(begin).map_err(|_| fail("too much before its points".into()))?;
         head[96..100].copy_from_slice(&begin.to_le_bytes());
         head[100..104].copy_from_slice(&n_vlrs.to_le_bytes());
-        let points = match laz {
+        let points = match coded {
             None => Points::Plain(out),
             Some(vlr) => {
                 let laz = LasZipCompressor::new(out, vlr).map_err(|e| fail(e.to_string()))?;
@@ -184,11 +183,21 @@ impl<'a> LasRewrite<'a> {
 
 impl LasFile {
     /// Gives the bytes of the file, about, if it is written again with fields and uncompressed.
-    pub(crate) fn rewritten_bytes(&self, len_bytes: u64, fields: &[ScalarField]) -> u64 {
-        let Header { points_offset, points_end, n_points, .. } = self.header;
-        let n_added: usize = fields.iter().map(|f| f.kind.n_bytes()).sum();
-        let records = n_points.saturating_mul((self.layout.record_bytes + n_added) as u64);
-        records.saturating_add(points_offset).saturating_add(len_bytes.saturating_sub(points_end))
+    pub(crate) fn rewritten_bytes(&self, info: &SourceInfo, fields: &[ScalarField]) -> u64 {
+        let Header { points_offset, points_end, .. } = self.header;
+        let record_bytes = (self.layout.record_bytes + field::n_bytes(fields)) as u64;
+        let records = info.n_points.saturating_mul(record_bytes);
+        records.saturating_add(points_offset + info.len_bytes.saturating_sub(points_end))
+    }
+
+    /// Gives the memory that decoding and coding hold while it is written again with fields.
+    pub(crate) fn coder_bytes(&self, compressed: bool, fields: &[ScalarField]) -> u64 {
+        let decoder_bytes = self.laz.as_ref().map_or(0, |laz| laz.decoder_bytes(&self.header));
+        let n_bytes = self.layout.record_bytes + field::n_bytes(fields);
+        // Where there can be no such records that is said when they are begun.
+        let record_bytes = u16::try_from(n_bytes).ok().filter(|_| compressed);
+        let coder_bytes = record_bytes.map(|n| laz::coder_bytes(self.header.point_format, n));
+        decoder_bytes + coder_bytes.unwrap_or(0)
     }
 }
 

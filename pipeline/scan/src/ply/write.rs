@@ -109,7 +109,7 @@ impl PlyWriter {
             + if columns.intensity { 4 } else { 0 }
             + usize::from(columns.classification)
             + if columns.gps_time { 8 } else { 0 }
-            + extras.fields.iter().map(|f| f.kind.n_bytes()).sum::<usize>();
+            + field::n_bytes(&extras.fields);
         n_points.saturating_mul(row_bytes as u64).saturating_add(head.len() as u64)
     }
 
