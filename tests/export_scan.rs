@@ -271,8 +271,22 @@ fn one_of_several_scans_is_found_by_its_records_and_its_name() {
     export("copy.laz").fails(65, &["copy.laz", "name", "a.las (2700), b.laz (2700)"]);
     std::fs::copy(bench.path("c.las"), bench.path("copy.las")).unwrap();
     export("copy.las").ok();
+    // Of one name and number of records the first point tells.
     ingest("a.las other/a.las");
-    export("a.las").fails(65, &["a.las", "several scans of this name"]);
+    for (scan, number) in [("a.las", 0u32), ("other/a.las", 1)] {
+        export(scan).ok();
+        let (rows, n) = records(&bench.path("out.las"));
+        assert!(rows.chunks_exact(n).all(|r| r[n - 8..n - 4] == number.to_le_bytes()), "{scan}");
+    }
+    let mut moved = bench.read("a.las");
+    let at = word(&moved, 96);
+    moved[at] ^= 0x80;
+    std::fs::create_dir(bench.path("third")).unwrap();
+    bench.write("third/a.las", moved);
+    export("third/a.las").fails(65, &["third/a.las", "begin with another point"]);
+    std::fs::copy(bench.path("a.las"), bench.path("other/a.las")).unwrap();
+    ingest("a.las other/a.las");
+    export("a.las").fails(65, &["a.las", "several scans of this name", "first point"]);
 }
 
 #[test]
@@ -292,6 +306,14 @@ fn what_a_cut_file_has_is_written_with_counts_that_are_true() {
     for number in 1..16 {
         let n_of = rows.chunks_exact(n).filter(|r| usize::from(r[14] & 15) == number).count();
         assert_eq!(word(&bytes, 255 + 8 * (number - 1)), n_of, "{number}");
+    }
+    // The bounds, too: max and min, an axis at a time.
+    for axis in 0..3 {
+        let steps = rows.chunks_exact(n).map(|r| word(r, 4 * axis) as u32 as i32);
+        let world = |step: Option<i32>| f64::from(step.unwrap()) * 0.001 + OFFSET;
+        let expected = [world(steps.clone().max()), world(steps.min())];
+        let at = 179 + 16 * axis;
+        assert_eq!(bytes[at..at + 16], expected.map(f64::to_le_bytes).concat(), "axis {axis}");
     }
 }
 

@@ -7,7 +7,9 @@ mod export_common;
 
 use cli_common::{Bench, Run};
 use export_common::python;
-use export_common::raw::{Pieces, descriptor, names, payload, records, vlr, vlrs, word};
+use export_common::raw::{
+    Pieces, descriptor, evlr, n_points, names, payload, records, vlr, vlrs, word,
+};
 use pvmap::scan::{ReadOptions, Source};
 
 /// Takes a scan the whole way, as `a.las`.
@@ -103,4 +105,130 @@ fn normals_may_be_described_in_several_records() {
     let source = Source::open(&bench.path("a.las"), 0, ReadOptions::default()).unwrap();
     assert!(source.info().columns.normal && source.info().warnings.is_empty());
     assert_eq!(source.names(), ["echo", "NormalX", "NormalY", "NormalZ"]);
+}
+
+/// Gives a packet of waves, as an extended record has it.
+fn waves() -> Vec<u8> {
+    evlr("LASF_Spec", 65535, "", &[7, 8, 9].repeat(400))
+}
+
+#[test]
+fn wave_packets_in_a_file_are_where_its_header_says() {
+    let alone = Pieces { between: waves(), waves_at: Some(0), ..Pieces::new(3, 4, 20) };
+    let listed = evlr("scanner", 10, "", b"before");
+    let among = Pieces {
+        waves_at: Some(listed.len()),
+        evlrs: vec![listed, waves(), evlr("scanner", 11, "", b"behind")],
+        ..Pieces::new(4, 9, 20)
+    };
+    for pieces in [alone, among] {
+        let bench = built(&pieces);
+        for output in ["out.las", "out.laz"] {
+            export(&bench, output);
+            let bytes = bench.read(output);
+            assert!(bytes[word(&bytes, 227)..].starts_with(&waves()), "{output}");
+            if pieces.minor == 4 {
+                assert_eq!(word(&bytes, 243), 3);
+                assert_eq!(bytes[word(&bytes, 235)..], pieces.evlrs.concat(), "{output}");
+            } else {
+                assert!(bytes.ends_with(&waves()));
+            }
+        }
+    }
+}
+
+#[test]
+fn bytes_that_no_record_is_about_are_kept() {
+    let legacy = Pieces { tail: b"TRAILING".repeat(20), ..Pieces::new(2, 0, 20) };
+    let modern = Pieces {
+        between: b"BETWEEN".repeat(3),
+        evlrs: vec![evlr("scanner", 10, "what", b"listed")],
+        tail: b"BEHIND".to_vec(),
+        ..Pieces::new(4, 6, 20)
+    };
+    let no_list = Pieces { tail: b"BEHIND".to_vec(), ..Pieces::new(4, 6, 20) };
+    for pieces in [legacy, modern, no_list] {
+        let behind = [pieces.between.clone(), pieces.evlrs.concat(), pieces.tail.clone()].concat();
+        let bench = built(&pieces);
+        for output in ["out.las", "out.laz"] {
+            export(&bench, output);
+            let bytes = bench.read(output);
+            assert!(bytes.ends_with(&behind), "{output}");
+            if !pieces.evlrs.is_empty() {
+                let at = bytes.len() - pieces.evlrs.concat().len() - pieces.tail.len();
+                assert_eq!((word(&bytes, 235), word(&bytes, 243)), (at, 1));
+            }
+        }
+    }
+}
+
+#[test]
+fn more_descriptors_than_a_record_holds_stand_behind_the_points() {
+    let described: Vec<Vec<u8>> =
+        (0..400).map(|i| descriptor(1, 0, &format!("field_{i}"))).collect();
+    let vlrs_in: Vec<Vec<u8>> =
+        described.chunks(300).map(|d| vlr("LASF_Spec", 4, "many", &d.concat())).collect();
+    let pieces = |minor, point_format| Pieces {
+        n_extra: 400,
+        vlrs: vlrs_in.clone(),
+        ..Pieces::new(minor, point_format, 10)
+    };
+    let with_record = Pieces {
+        evlrs: vec![evlr("scanner", 10, "", b"listed")],
+        tail: b"BEHIND".to_vec(),
+        ..pieces(4, 6)
+    };
+    for pieces in [pieces(4, 6), with_record] {
+        let bench = built(&pieces);
+        export(&bench, "out.las");
+        let bytes = bench.read("out.las");
+        assert!(vlrs(&bytes).is_empty());
+        assert_eq!(word(&bytes, 243), 1 + pieces.evlrs.len());
+        assert!(bytes[word(&bytes, 235)..].starts_with(&pieces.evlrs.concat()));
+        let source = Source::open(&bench.path("out.las"), 0, ReadOptions::default()).unwrap();
+        let found = source.names();
+        assert_eq!(
+            (found.len(), found[399].as_str(), &found[400]),
+            (401, "field_399", &"record".into())
+        );
+    }
+    let bench = built(&pieces(2, 0));
+    let line = "export a.vmap --points out.las --scan a.las --field record";
+    bench.line(line).fails(65, &["out.las", "too many extra bytes to describe"]);
+}
+
+#[test]
+fn a_field_of_an_old_las_is_said_to_need_an_option_of_pdal() {
+    for (minor, point_format, is_told) in [(2, 1, true), (4, 1, false), (4, 6, false)] {
+        let bench = built(&Pieces::new(minor, point_format, 10));
+        let run = export(&bench, "out.las");
+        assert_eq!(run.stderr.contains("readers.las.use_eb_vlr"), is_told, "{}", run.stderr);
+        if is_told {
+            run.warns(&["out.las", "LAS 1.2"]);
+        }
+    }
+}
+
+#[test]
+fn a_scan_without_points_is_written_again() {
+    for (minor, point_format) in [(2, 1), (4, 6)] {
+        let bench = Bench::new();
+        let vlrs = vec![vlr("scanner", 9, "", b"nothing here")];
+        bench.write("e.las", Pieces { vlrs, ..Pieces::new(minor, point_format, 0) }.joined());
+        bench.write("a.las", Pieces::new(4, 6, 20).joined());
+        bench.line("ingest a.las e.las -o a.octree --normals none").ok();
+        bench.line("build a.octree --max-level 4").ok();
+        for output in ["out.las", "out.laz"] {
+            bench.line(&format!("export a.vmap --points {output} --scan e.las --field leaf")).ok();
+            let bytes = bench.read(output);
+            assert_eq!((n_points(&bytes), vlrs_of_scanner(&bytes)), (0, 1));
+            bench
+                .line(&format!("ingest a.las {output} -o b.octree --normals none --overwrite"))
+                .ok();
+        }
+    }
+}
+
+fn vlrs_of_scanner(bytes: &[u8]) -> usize {
+    vlrs(bytes).iter().filter(|v| v.0[2..].starts_with(b"scanner")).count()
 }

@@ -122,7 +122,7 @@ fn run(
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
     let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
-    let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind()));
+    let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind(), watch));
     let scan = scan.transpose()?;
     let taken = scan.as_ref().map_or(Vec::new(), Scan::names);
     let names = fields::columns(fields, octree.schema(), &taken);

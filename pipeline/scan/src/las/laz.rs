@@ -211,7 +211,17 @@ impl Laz {
         options: ReadOptions,
     ) -> LazReader<'a> {
         let is_lenient = options.lenient;
-        LazReader { laz: self, file, layout, source, left, is_lenient, open: None, raw: Vec::new() }
+        LazReader {
+            laz: self,
+            file,
+            layout,
+            source,
+            left,
+            is_lenient,
+            open: None,
+            raw: Vec::new(),
+            stopped: None,
+        }
     }
 }
 
@@ -375,6 +385,8 @@ pub(crate) struct LazReader<'a> {
     is_lenient: bool,
     open: Option<OpenChunk<'a>>,
     raw: Vec<u8>,
+    /// Why a lenient read ended too early.
+    stopped: Option<String>,
 }
 
 /// A chunk that is being decoded.
@@ -422,8 +434,14 @@ impl<'a> LazReader<'a> {
             }
             self.raw.truncate(n_good as usize * self.layout.record_bytes);
             self.left.end = first;
+            self.stopped = Some(problem);
         }
         Ok(&self.raw)
+    }
+
+    /// Says why a lenient read ended before the last record, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        self.stopped.as_deref()
     }
 
     /// Gives the records that are still to come.

@@ -5,6 +5,7 @@ pub(crate) mod header;
 pub(crate) mod laz;
 pub(crate) mod records;
 pub(crate) mod rewrite;
+mod tail;
 mod vlr;
 pub(crate) mod write;
 
@@ -187,6 +188,14 @@ impl RawRecords<'_> {
             _ if left.is_empty() => Ok(&[]),
             RawRecords::Plain(reader) => reader.block(limit),
             RawRecords::Laz(reader) => reader.block(limit),
+        }
+    }
+
+    /// Says why reading ended before the last record, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        match self {
+            RawRecords::Plain(_) => None,
+            RawRecords::Laz(reader) => reader.stopped(),
         }
     }
 }

@@ -212,6 +212,11 @@ impl VlrName {
         self.head(&n_bytes.to_le_bytes())
     }
 
+    /// Gives the header of an extended record.
+    pub(crate) fn extended(&self, n_bytes: u64) -> Vec<u8> {
+        self.head(&n_bytes.to_le_bytes())
+    }
+
     fn head(&self, n_bytes: &[u8]) -> Vec<u8> {
         let id = self.record_id.to_le_bytes();
         [&self.reserved[..], &self.user_id, &id, n_bytes, &self.description].concat()
