@@ -6,10 +6,10 @@ mod cli_common;
 mod export_common;
 
 use std::path::Path;
-use std::process::Command;
 
 use cli_common::{Bench, TWO_THREADS, data, floor};
-use export_common::{FIELD_BYTES, FIELDS, fields_of, scan};
+use export_common::raw::{records, word};
+use export_common::{FIELD_BYTES, FIELDS, fields_of, python, scan};
 use fastrand::Rng;
 use las::point::Format;
 use las::{Builder, PointDataBuilder, Reader, Transform, Vector, Vlr, Writer};
@@ -86,22 +86,6 @@ fn write(path: &Path, point_format: u8, seed: u64) {
     let points = PointDataBuilder::new().with_format(format).with_transforms(transforms);
     writer.write_points(&points.build_from_bytes(rows(&format, seed)).unwrap()).unwrap();
     writer.close().unwrap();
-}
-
-/// Gives the bytes of all records, and how many a record has.
-fn records(path: &Path) -> (Vec<u8>, usize) {
-    let bytes = std::fs::read(path).unwrap();
-    if bytes[104] & 0x80 == 0 {
-        let (start, n_bytes) = (word(&bytes, 96), word(&bytes, 105) & 0xffff);
-        let n_points = word(&bytes, if bytes[25] > 3 { 247 } else { 107 });
-        return (bytes[start..start + n_points * n_bytes].to_vec(), n_bytes);
-    }
-    let points = Reader::from_path(path).unwrap().read_all().unwrap();
-    (points.raw_bytes().to_vec(), points.record_len())
-}
-
-fn word(bytes: &[u8], at: usize) -> usize {
-    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
 }
 
 /// Ingests and builds `name`, whose normals are estimated.
@@ -217,20 +201,6 @@ for name in ['out.las', 'out.laz']:
     python(&bench, "laspy", script);
 }
 
-/// Runs a script, or says that it cannot.
-fn python(bench: &Bench, module: &str, script: &str) {
-    let run = |script: &str| {
-        let mut python = Command::new("python3");
-        python.current_dir(bench.path("")).args(["-c", script]).output()
-    };
-    if !run(&format!("import numpy, {module}")).is_ok_and(|o| o.status.success()) {
-        eprintln!("skipped: no python3 with numpy and {module}");
-        return;
-    }
-    let output = run(script).unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
 #[test]
 fn a_scan_that_the_octree_was_not_made_of_is_refused() {
     let bench = Bench::new();
@@ -301,8 +271,22 @@ fn one_of_several_scans_is_found_by_its_records_and_its_name() {
     export("copy.laz").fails(65, &["copy.laz", "name", "a.las (2700), b.laz (2700)"]);
     std::fs::copy(bench.path("c.las"), bench.path("copy.las")).unwrap();
     export("copy.las").ok();
+    // Of one name and number of records the first point tells.
     ingest("a.las other/a.las");
-    export("a.las").fails(65, &["a.las", "several scans of this name"]);
+    for (scan, number) in [("a.las", 0u32), ("other/a.las", 1)] {
+        export(scan).ok();
+        let (rows, n) = records(&bench.path("out.las"));
+        assert!(rows.chunks_exact(n).all(|r| r[n - 8..n - 4] == number.to_le_bytes()), "{scan}");
+    }
+    let mut moved = bench.read("a.las");
+    let at = word(&moved, 96);
+    moved[at] ^= 0x80;
+    std::fs::create_dir(bench.path("third")).unwrap();
+    bench.write("third/a.las", moved);
+    export("third/a.las").fails(65, &["third/a.las", "begin with another point"]);
+    std::fs::copy(bench.path("a.las"), bench.path("other/a.las")).unwrap();
+    ingest("a.las other/a.las");
+    export("a.las").fails(65, &["a.las", "several scans of this name", "first point"]);
 }
 
 #[test]
@@ -322,6 +306,14 @@ fn what_a_cut_file_has_is_written_with_counts_that_are_true() {
     for number in 1..16 {
         let n_of = rows.chunks_exact(n).filter(|r| usize::from(r[14] & 15) == number).count();
         assert_eq!(word(&bytes, 255 + 8 * (number - 1)), n_of, "{number}");
+    }
+    // The bounds, too: max and min, an axis at a time.
+    for axis in 0..3 {
+        let steps = rows.chunks_exact(n).map(|r| word(r, 4 * axis) as u32 as i32);
+        let world = |step: Option<i32>| f64::from(step.unwrap()) * 0.001 + OFFSET;
+        let expected = [world(steps.clone().max()), world(steps.min())];
+        let at = 179 + 16 * axis;
+        assert_eq!(bytes[at..at + 16], expected.map(f64::to_le_bytes).concat(), "axis {axis}");
     }
 }
 

@@ -263,6 +263,71 @@ fn another_ply_and_one_that_was_cut_are_refused() {
     assert!(!bench.names().contains(&"out.ply".to_owned()));
 }
 
+/// Gives a text PLY of a small floor, with these lines before its format.
+fn text(aside: &str) -> String {
+    let head = format!("ply\n{aside}format ascii 1.0\nelement vertex 30\n");
+    let rows: String = (0..30).map(|i| format!("{} {} 0\n", i % 6, i / 6)).collect();
+    head + "property float x\nproperty float y\nproperty float z\nend_header\n" + &rows
+}
+
+/// Gives what an export of the numbers of the records makes of [`text`].
+fn numbered(aside: &str) -> String {
+    let mut expected = text(aside)
+        .replace(" 1.0\n", " 1.0\ncomment pvmap export\ncomment record: its number in its scan\n")
+        .replace("end_header", "property uint record\nend_header");
+    for i in 0..30 {
+        let row = format!("\n{} {} 0\n", i % 6, i / 6);
+        expected = expected.replacen(&row, &format!("{} {i}\n", row.trim_end()), 1);
+    }
+    expected
+}
+
+#[test]
+fn lines_of_a_ply_come_back_however_they_end() {
+    let asides = ["", "comment a leading one\n", "obj_info what\ncomment two\n"];
+    for (aside, end) in asides.iter().flat_map(|a| ["\n", "\r", "\r\n"].map(|end| (*a, end))) {
+        let bench = Bench::new();
+        bench.write("a.ply", text(aside).replace('\n', end));
+        bench.line("ingest a.ply --normals none").ok();
+        bench.line("build a.octree --max-level 3").ok();
+        // The second time it knows its own file.
+        for _ in 0..2 {
+            bench.line("export a.vmap --points out.ply --scan a.ply --field record").ok();
+            let found = String::from_utf8(bench.read("out.ply")).unwrap();
+            assert_eq!(found, numbered(aside).replace('\n', end), "{aside:?}, {end:?}");
+        }
+    }
+}
+
+#[test]
+fn blank_lines_and_blanks_of_a_ply_are_left_out_as_help_says() {
+    let bench = Bench::new();
+    let [head, rows] =
+        text("").split("end_header\n").map(str::to_owned).collect::<Vec<_>>().try_into().unwrap();
+    let head = head.replacen("ply\n", "ply  \n", 1);
+    bench.write("a.ply", format!("{head}end_header\n{}", rows.replace('\n', "  \n\n")));
+    bench.line("ingest a.ply --normals none").ok();
+    bench.line("build a.octree --max-level 3").ok();
+    bench.line("export a.vmap --points out.ply --scan a.ply --field record").ok();
+    // What is behind the last vertex is kept.
+    let expected = numbered("").replacen("ply\n", "ply  \n", 1) + "\n";
+    assert_eq!(String::from_utf8(bench.read("out.ply")).unwrap(), expected);
+    let help = bench.line("export --help").ok().stdout;
+    assert!(help.contains("blank\nlines among the vertices and blanks behind them"));
+}
+
+#[test]
+fn the_normals_of_a_scan_stay_its_own_beside_those_of_the_map() {
+    let bench = Bench::new();
+    let rows: String =
+        (0..30).map(|i| format!("{} {} 0 0 0.6 0.8 1 0 0\n", i % 6, i / 6)).collect();
+    let names = ["x", "y", "z", "nx", "ny", "nz", "normal_x", "normal_y", "normal_z"];
+    bench.write("a.ply", cli_common::ply_header(30, &names) + &rows);
+    let (source, batch) = export_common::read(&bench.path("a.ply"));
+    assert!(source.info().columns.normal);
+    assert_eq!(batch.normal, Some(vec![[0.0, 0.6, 0.8]; 30]));
+}
+
 #[test]
 fn a_real_ply_keeps_its_properties() {
     let Some(scans) = data("scans") else { return };

@@ -13,8 +13,8 @@ pub(super) const LAS_SOFTWARE: &str = "pvmap export";
 pub(super) const PLY_COMMENT: &str = "pvmap export";
 /// Where a LAS names that program, in 32 bytes.
 const LAS_SOFTWARE_OFFSET: usize = 58;
-/// Enough of a file to know it by.
-const START_BYTES: usize = 512;
+/// Enough of a file to know it by: a PLY may have comments before what it is known by.
+const START_BYTES: usize = 64 << 10;
 
 /// The kinds of files that exports make, by which they know their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,10 +37,14 @@ impl Made {
                     && named.strip_prefix(LAS_SOFTWARE.as_bytes()).is_some_and(ends_text)
             }
             Made::Ply => {
-                // The second line says how numbers are written.
-                let mut lines = start.split(|&b| b == b'\n').map(<[u8]>::trim_ascii_end);
+                // What an export adds is behind the line that says how numbers are written. Other
+                // lines of a scan may stand before that, and end in carriage returns.
+                let is_cr_only = start.starts_with(b"ply\r") && !start.starts_with(b"ply\r\n");
+                let newline = if is_cr_only { b'\r' } else { b'\n' };
+                let mut lines = start.split(|&b| b == newline).map(<[u8]>::trim_ascii_end);
+                let is_aside = |l: &&[u8]| l.starts_with(b"comment") || l.starts_with(b"obj_info");
                 lines.next() == Some(b"ply")
-                    && lines.next().is_some_and(|l| l.starts_with(b"format "))
+                    && lines.find(|l| !is_aside(l)).is_some_and(|l| l.starts_with(b"format "))
                     && lines.next().and_then(|l| l.strip_prefix(b"comment "))
                         == Some(PLY_COMMENT.as_bytes())
             }

@@ -5,6 +5,7 @@ use pvmap_geometry::normal::Normal;
 use pvmap_query::{Located, Map, Place, QueryError, Snap};
 use pvmap_scan::{FieldKind, ScalarField};
 use pvmap_store::Watch;
+use pvmap_vmap::MapSummary;
 use pvmap_vmap::schema::{ColumnType, Schema};
 
 use super::seen::{Bits, lit_by, seen_from};
@@ -106,14 +107,16 @@ pub(super) fn columns(
     columns
 }
 
-/// Gives the bytes that the values of fields hold in memory.
-pub(super) fn held_bytes(fields: &[PointField], n_surfels: u32) -> u64 {
-    let n = u64::from(n_surfels);
+/// Gives the bytes that the values of fields hold in memory, and counting them.
+pub(super) fn held_bytes(fields: &[PointField], summary: &MapSummary) -> u64 {
+    let n = u64::from(summary.n_surfels);
     let has = |wanted: PointField| u64::from(fields.contains(&wanted));
     let of_place = |f: &&PointField| matches!(f, PointField::VisibleFrom(_) | PointField::Lit(_));
     let n_places = fields.iter().filter(of_place).count() as u64;
     let each = 4 * has(PointField::SeesCount) + has(PointField::Level) + has(PointField::Bin);
-    n_places * n.div_ceil(8) + each * n
+    // What is seen is counted by two words a node.
+    let counting = 8 * has(PointField::SeesCount) * u64::from(summary.n_nodes);
+    n_places * n.div_ceil(8) + each * n + counting
 }
 
 /// What answers for the place of a field.
@@ -301,7 +304,9 @@ mod tests {
         assert_eq!(names, expected);
         assert_eq!(found[0].description, "1 if seen from 1,2,-0.5");
         assert_eq!(found[2].description, "1 if seen from 3,2,-0.5,0,0,1");
-        assert_eq!(held_bytes(&fields, 800), 4 * 100 + 3200);
+        let summary = MapSummary { n_nodes: 1100, n_surfels: 800, ..MapSummary::default() };
+        // Four places, and the counts with the nodes they are made by.
+        assert_eq!(held_bytes(&fields, &summary), 4 * 100 + 3200 + 8800);
         let taken = ["Visible_From", "visible_from_3", "ny"].map(str::to_owned);
         let found = columns(&fields[2..5], &schema, &taken);
         let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();

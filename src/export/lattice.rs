@@ -84,8 +84,8 @@ pub(super) fn shift_all(steps: &mut [[i32; 3]], shift: [i64; 3]) -> Option<()> {
 }
 
 /// Gives world coordinates by the two operations of the LAS standard.
-pub(super) fn world(steps: &[[i32; 3]], source: &Source) -> Vec<[f64; 3]> {
-    let along = |x: &[i32; 3], i: usize| f64::from(x[i]) * source.scale[i] + source.offset[i];
+pub(super) fn world(steps: &[[i32; 3]], scale: [f64; 3], offset: [f64; 3]) -> Vec<[f64; 3]> {
+    let along = |x: &[i32; 3], i: usize| f64::from(x[i]) * scale[i] + offset[i];
     steps.iter().map(|x| [along(x, 0), along(x, 1), along(x, 2)]).collect()
 }
 

@@ -118,14 +118,17 @@ fn run(
     // Where the output is a link, the folder of what it points at.
     let beside = output.temp_path().to_path_buf();
     let folder = folder_of(&beside);
-    let held_bytes = fields::held_bytes(fields, map.summary().n_surfels);
+    let held_bytes = fields::held_bytes(fields, map.summary());
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
     let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
-    let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind()));
+    let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind(), watch));
     let scan = scan.transpose()?;
     let taken = scan.as_ref().map_or(Vec::new(), Scan::names);
     let names = fields::columns(fields, octree.schema(), &taken);
+    let coder_bytes = scan.as_ref().map_or(0, |scan| scan.coder_bytes(output.kind(), &names));
+    memory::require("such wide records of a LAZ", coder_bytes, memory_bytes / 2)?;
+    let memory_bytes = memory_bytes - coder_bytes;
     let wanted = (scan.as_ref().map_or(Which::All, Scan::which), with);
     let temporary = temporary_bytes(octree, wanted, memory_bytes);
     let full_bytes = match &scan {

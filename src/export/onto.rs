@@ -9,9 +9,12 @@ use pvmap_geometry::{Frame, PointBatch, Positions};
 use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::{BySource, Which};
 use pvmap_scan::{
-    PositionKind, ReadOptions, Rewrite, RewriteOptions, ScalarField, Source as ScanSource,
+    PositionKind, ReadOptions, Rewrite, RewriteOptions, ScalarField, ScanError,
+    Source as ScanSource,
 };
 use pvmap_store::{ClosedFile, Watch};
+use pvmap_vmap::bytes::FieldReader;
+use pvmap_vmap::schema::ColumnType;
 use pvmap_vmap::{OctreeView, Source};
 
 use super::begin::{LAS_SOFTWARE, PLY_COMMENT};
@@ -22,6 +25,10 @@ use crate::Error;
 
 /// How a source says that it is a PLY.
 const PLY_FORMAT: u32 = 3;
+/// Records of a scan that are looked through for the first that has a place.
+const FIRST_RECORDS: u64 = 1 << 14;
+/// Points of an octree that are looked through before the run is asked whether to stop.
+const BLOCK_POINTS: u64 = 1 << 16;
 /// Most scans of an octree that a message names.
 const MOST_NAMED: usize = 5;
 
@@ -35,18 +42,26 @@ pub(super) struct Scan {
 
 impl Scan {
     /// Opens a scan and finds which of the octree's it is.
-    pub(super) fn open(path: &Path, octree: &OctreeView<'_>, kind: Kind) -> Result<Scan, Error> {
-        // An octree of cut files was made of what is there.
-        let lenient = octree.summary().n_missing > 0;
-        let options = ReadOptions { skip_invalid: true, lenient };
+    pub(super) fn open(
+        path: &Path,
+        octree: &OctreeView<'_>,
+        kind: Kind,
+        watch: &dyn Watch,
+    ) -> Result<Scan, Error> {
+        // Ingest may have taken the part of it that is there. Every record is held against the
+        // octree, so nothing goes wrong where it did not.
+        let options = ReadOptions { skip_invalid: true, lenient: true };
         let file = ScanSource::open(path, 0, options)?;
+        for warning in &file.info().warnings {
+            watch.warn(&format!("{}: {warning}", path.display()));
+        }
         let is_ply = !matches!(file.info().kind, PositionKind::Lattice { .. });
         if is_ply != (kind == Kind::Ply) {
             let (path, as_what) = (path.display(), if is_ply { ".ply" } else { ".las or .laz" });
             let message = format!("{path}: --scan writes it again as {as_what}, as it is one");
             return Err(Error::Usage(message));
         }
-        let index = choose(&file, octree)?;
+        let index = choose(&file, octree, watch)?;
         let row = octree.sources()[index as usize];
         Ok(Scan { file, index, row, frame: octree.frame().frame })
     }
@@ -66,6 +81,11 @@ impl Scan {
         self.file.rewritten_bytes(fields)
     }
 
+    /// Gives the memory that reading and writing the records hold.
+    pub(super) fn coder_bytes(&self, kind: Kind, fields: &[ScalarField]) -> u64 {
+        self.file.coder_bytes(kind == Kind::Laz, fields)
+    }
+
     /// Writes all records with the values of their points; gives their number.
     pub(super) fn write(
         &self,
@@ -80,28 +100,30 @@ impl Scan {
         let software = if kind == Kind::Ply { PLY_COMMENT } else { LAS_SOFTWARE };
         let options = RewriteOptions { output, compressed, fields, software };
         let input = self.file.reopen()?;
-        let rewrite = Rewrite::begin(&self.file, &input, options)?;
-        for warning in self.file.info().warnings.iter().chain(rewrite.warnings()) {
+        let rewrite = Rewrite::begin(&self.file, &input, options, watch)?;
+        for warning in rewrite.warnings() {
             watch.warn(&format!("{}: {warning}", path.display()));
         }
-        let mut onto = Onto { scan: self, rewrite, n_columns: fields.len(), next: 0, n_empty: 0 };
+        let n_columns = fields.len();
+        let mut onto = Onto { scan: self, rewrite, n_columns, next: 0, n_empty: 0, watch };
         points.each(|batch, tags| {
             onto.write(batch, &values.columns(batch, &tags.numbers, &tags.normals))
         })?;
-        while onto.next_block(u64::MAX, &[], |_| None)? > 0 {
-            watch.check()?;
-        }
+        while onto.next_block(u64::MAX, &[], |_| None)? > 0 {}
         if onto.n_empty > 0 {
-            let (n, path) = (onto.n_empty, path.display());
-            watch.warn(&format!("{path}: {n} records have no place; their new fields are 0"));
+            let what = match onto.n_empty {
+                1 => "1 record has no place; its new fields are 0".to_owned(),
+                n => format!("{n} records have no place; their new fields are 0"),
+            };
+            watch.warn(&format!("{}: {what}", path.display()));
         }
-        Ok((onto.next, onto.rewrite.close()?))
+        Ok((onto.next, onto.rewrite.close(watch)?))
     }
 }
 
 /// Finds the one source of an octree that a scan can be: of its kind and with as many records; of
-/// several such the one of its name.
-fn choose(scan: &ScanSource, octree: &OctreeView<'_>) -> Result<u32, Error> {
+/// several such the one of its name, and of several of its name the one whose first point it has.
+fn choose(scan: &ScanSource, octree: &OctreeView<'_>, watch: &dyn Watch) -> Result<u32, Error> {
     let (info, sources) = (scan.info(), octree.sources());
     let is_ply = !matches!(info.kind, PositionKind::Lattice { .. });
     let fits = |s: &Source| {
@@ -110,39 +132,88 @@ fn choose(scan: &ScanSource, octree: &OctreeView<'_>) -> Result<u32, Error> {
         let most = least.saturating_add(octree.summary().n_missing);
         (s.format == PLY_FORMAT) == is_ply && (least..=most).contains(&info.n_points)
     };
-    let mut found: Vec<u32> = (0..).zip(sources).filter(|(_, s)| fits(s)).map(|s| s.0).collect();
+    let fitting: Vec<u32> = (0..).zip(sources).filter(|(_, s)| fits(s)).map(|s| s.0).collect();
     let names: Result<Vec<String>, _> = sources.iter().map(|s| octree.source_name(s)).collect();
     let names = names.map_err(OctreeError::from)?;
-    let named = info.path.file_name().unwrap_or_default().to_string_lossy();
-    if found.len() > 1 {
-        found.retain(|&i| names[i as usize] == named);
+    let name = info.path.file_name().unwrap_or_default().to_string_lossy();
+    let is_named = |i: &u32| fitting.len() == 1 || names[*i as usize] == name;
+    let named: Vec<u32> = fitting.iter().copied().filter(is_named).collect();
+    let first = if named.len() > 1 { with_first_point(scan, octree, watch)? } else { None };
+    let is_first = |i: &u32| first.as_ref().is_none_or(|first| first.contains(i));
+    let found: Vec<u32> = named.iter().copied().filter(is_first).collect();
+    if let [one] = found.as_slice() {
+        return Ok(*one);
     }
     let (shown, n) = (info.path.display(), info.n_points);
-    let listed = |found: &mut dyn Iterator<Item = usize>| -> String {
-        let line = |i: usize| {
-            let n_records = sources[i].n_stored.saturating_add(sources[i].n_invalid);
-            format!("{} ({n_records})", names[i])
+    let listed = |found: &[u32]| -> String {
+        let line = |&i: &u32| {
+            let Source { n_stored, n_invalid, .. } = &sources[i as usize];
+            format!("{} ({})", names[i as usize], n_stored.saturating_add(*n_invalid))
         };
-        let all: Vec<String> = found.map(line).collect();
-        let more = if all.len() > MOST_NAMED { ", ..." } else { "" };
-        format!("{}{more}", all[..all.len().min(MOST_NAMED)].join(", "))
+        let some: Vec<String> = found.iter().take(MOST_NAMED).map(line).collect();
+        let more = if found.len() > MOST_NAMED { ", ..." } else { "" };
+        format!("{}{more}", some.join(", "))
     };
-    match found.as_slice() {
-        [one] => Ok(*one),
-        [] if (0..).zip(sources).any(|(_, s): (u32, _)| fits(s)) => Err(Error::Data(format!(
-            "{shown}: several scans of the octree have its {n} records and none its name; give it \
-             the name it was taken in by: {}",
-            listed(&mut (0..sources.len()).filter(|&i| fits(&sources[i])))
-        ))),
-        [] => Err(Error::Data(format!(
-            "{shown}: is no scan that the octree was made of: it has {n} records, those have: {}",
-            listed(&mut (0..sources.len()))
-        ))),
-        _ => Err(Error::Data(format!(
-            "{shown}: the octree was made of several scans of this name and its {n} records; give \
-             them names of their own and pvmap ingest them again"
-        ))),
+    let none = "is no scan that the octree was made of";
+    let problem = if fitting.is_empty() {
+        let all: Vec<u32> = (0..).zip(sources).map(|s| s.0).collect();
+        format!("{none}: it has {n} records, those have: {}", listed(&all))
+    } else if named.is_empty() {
+        format!(
+            "several scans of the octree have its {n} records and none its name; give it the name \
+             it was taken in by: {}",
+            listed(&fitting)
+        )
+    } else if found.is_empty() {
+        format!("{none}: those of its name and its {n} records begin with another point")
+    } else {
+        format!(
+            "the octree was made of several scans of this name, its {n} records and its first \
+             point; give them names of their own and pvmap ingest them again"
+        )
+    };
+    Err(Error::Data(format!("{shown}: {problem}")))
+}
+
+/// Gives the sources of an octree that have the first point of a scan where it is; none where no
+/// point is near the start of the scan.
+fn with_first_point(
+    scan: &ScanSource,
+    octree: &OctreeView<'_>,
+    watch: &dyn Watch,
+) -> Result<Option<Vec<u32>>, Error> {
+    let mut first = None;
+    let n = scan.info().n_points.min(FIRST_RECORDS);
+    scan.read(0..n, n as usize, |batch| {
+        let places = world_of(&batch.positions, scan.info().kind);
+        let one = batch.records.first().copied().zip(places.first().copied());
+        first = first.or(one);
+        Ok::<(), ScanError>(())
+    })?;
+    let (schema, frame) = (octree.schema(), octree.frame().frame);
+    let source = schema.column("source");
+    let (Some((record, place)), Some(source), Some(at)) = (first, source, schema.column("record"))
+    else {
+        return Ok(None);
+    };
+    let Ok(grid) = frame.grid_of_query(place) else { return Ok(Some(Vec::new())) };
+    let mut found = Vec::new();
+    let n_points = octree.summary().n_points;
+    for block in (0..n_points).step_by(BLOCK_POINTS as usize) {
+        watch.check()?;
+        let n = BLOCK_POINTS.min(n_points - block);
+        let points = octree.points(block, n).map_err(OctreeError::from)?;
+        for point in points.iter() {
+            let point = point.map_err(OctreeError::from)?;
+            let mut number = FieldReader::new(&point.record[at.offset..]);
+            let is_wide = at.kind == ColumnType::U64;
+            let number = if is_wide { number.u64() } else { u64::from(number.u32()) };
+            if number == record && point.key.g == grid {
+                found.push(FieldReader::new(&point.record[source.offset..]).u32());
+            }
+        }
     }
+    Ok(Some(found))
 }
 
 /// The records of a scan on their way out, and the points of the octree that they are.
@@ -154,13 +225,14 @@ struct Onto<'a> {
     next: u64,
     /// Records without a point.
     n_empty: u64,
+    watch: &'a dyn Watch,
 }
 
 impl Onto<'_> {
     /// Writes the records up to the last point of a batch, which have its values.
     fn write(&mut self, batch: &PointBatch, values: &[Vec<f64>]) -> Result<(), Error> {
         let places = match &batch.positions {
-            Positions::Lattice(steps) => world(steps, &self.scan.row),
+            Positions::Lattice(steps) => world(steps, self.scan.row.scale, self.scan.row.offset),
             positions => self.scan.world(positions),
         };
         let mut done = 0;
@@ -172,12 +244,26 @@ impl Onto<'_> {
                 is_next.then(|| (done - 1, places[done - 1]))
             })?;
             if n == 0 {
-                let (n, record) = (self.next, batch.records[done]);
-                let what = format!("it ends after {n} records, in the octree it has record");
-                return Err(self.scan.other(&format!("{what} {record}")));
+                return Err(self.ended(batch.records[done]));
             }
         }
         Ok(())
+    }
+
+    /// Says why there is no record that the octree has.
+    fn ended(&self, record: u64) -> Error {
+        let (n, path) = (self.next, self.scan.file.info().path.display());
+        match self.rewrite.stopped() {
+            Some(problem) => Error::Data(format!(
+                "{path}: record {n} cannot be read: {problem}; the octree has records behind it: \
+                 export without --scan"
+            )),
+            None => {
+                let what =
+                    format!("it ends after {n} records, in the octree it has record {record}");
+                self.scan.refuse(&what)
+            }
+        }
     }
 
     /// Writes some of the next records, up to `n`; gives their number. `point` says of a record,
@@ -188,6 +274,7 @@ impl Onto<'_> {
         values: &[Vec<f64>],
         mut point: impl FnMut(u64) -> Option<(usize, [f64; 3])>,
     ) -> Result<u64, Error> {
+        self.watch.check()?;
         let places = self.scan.world(&self.rewrite.read(n)?);
         // 0 says nothing of a record.
         let mut columns = vec![vec![0.0; places.len()]; self.n_columns];
@@ -200,8 +287,9 @@ impl Onto<'_> {
                 None => {
                     if place.iter().all(|v| v.is_finite()) {
                         let [x, y, z] = place;
-                        let what = format!("record {record} at {x},{y},{z} is not in the octree");
-                        return Err(self.scan.other(&what));
+                        let what =
+                            format!("record {record} at {x:?},{y:?},{z:?} is not in the octree");
+                        return Err(self.scan.refuse(&what));
                     }
                     self.n_empty += 1;
                 }
@@ -218,14 +306,7 @@ impl Onto<'_> {
 impl Scan {
     /// Gives places of the scan in world units.
     fn world(&self, positions: &Positions) -> Vec<[f64; 3]> {
-        match (positions, self.file.info().kind) {
-            (Positions::Lattice(steps), PositionKind::Lattice { scale, offset }) => {
-                world(steps, &Source { scale, offset, ..self.row })
-            }
-            (Positions::Lattice(steps), _) => world(steps, &self.row),
-            (Positions::Single(places), _) => places.iter().map(|x| x.map(f64::from)).collect(),
-            (Positions::Double(places), _) => places.clone(),
-        }
+        world_of(positions, self.file.info().kind)
     }
 
     /// Refuses a record that is elsewhere on the grid than the point of the octree.
@@ -236,12 +317,26 @@ impl Scan {
             return Ok(());
         }
         let ([x, y, z], [a, b, c]) = (here, there);
-        let what = format!("record {record} is at {x},{y},{z}, in the octree at {a},{b},{c}");
-        Err(self.other(&what))
+        let what =
+            format!("record {record} is at {x:?},{y:?},{z:?}, in the octree at {a:?},{b:?},{c:?}");
+        Err(self.refuse(&what))
     }
 
-    fn other(&self, what: &str) -> Error {
+    fn refuse(&self, what: &str) -> Error {
         let path = self.file.info().path.display();
         Error::Data(format!("{path}: is not the scan that the octree was made of: {what}"))
+    }
+}
+
+/// Gives places in world units, of a scan that stores them so.
+fn world_of(positions: &Positions, kind: PositionKind) -> Vec<[f64; 3]> {
+    match (positions, kind) {
+        (Positions::Lattice(steps), PositionKind::Lattice { scale, offset }) => {
+            world(steps, scale, offset)
+        }
+        // No other scan has steps.
+        (Positions::Lattice(_), _) => Vec::new(),
+        (Positions::Single(places), _) => places.iter().map(|x| x.map(f64::from)).collect(),
+        (Positions::Double(places), _) => places.clone(),
     }
 }

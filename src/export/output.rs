@@ -243,7 +243,9 @@ impl Writer {
             match shifts.map(|s| s[batch.source as usize]) {
                 Some([0, 0, 0]) => {}
                 Some(shift) => shift_all(steps, shift).ok_or_else(|| self.too_far())?,
-                None => batch.positions = Positions::Double(world(steps, source)),
+                None => {
+                    batch.positions = Positions::Double(world(steps, source.scale, source.offset))
+                }
             }
         }
         match &mut self.sink {

@@ -3,7 +3,10 @@
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
+pub mod raw;
+
 use std::path::Path;
+use std::process::Command;
 
 use fastrand::Rng;
 use pvmap::geometry::{Intensity, PointBatch, Positions};
@@ -181,4 +184,18 @@ pub fn world(positions: &Positions) -> Vec<[f64; 3]> {
         Positions::Single(v) => v.iter().map(|x| x.map(f64::from)).collect(),
         Positions::Double(v) => v.clone(),
     }
+}
+
+/// Runs a script of Python in the folder, or says that it cannot.
+pub fn python(bench: &Bench, module: &str, script: &str) {
+    let run = |script: &str| {
+        let mut python = Command::new("python3");
+        python.current_dir(bench.path("")).args(["-c", script]).output()
+    };
+    if !run(&format!("import numpy, {module}")).is_ok_and(|o| o.status.success()) {
+        eprintln!("skipped: no python3 with numpy and {module}");
+        return;
+    }
+    let output = run(script).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

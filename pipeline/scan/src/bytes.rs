@@ -1,12 +1,8 @@
 //! Bytes of an input: little-endian words of a slice, and a bounded stream over part of a file.
 
-use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
-use std::ops::Range;
-use std::path::Path;
+use std::io::{self, Read, Seek, SeekFrom};
 
-use pvmap_store::{AtomicFile, InputFile, StoreError};
-
-use crate::error::ScanError;
+use pvmap_store::InputFile;
 
 /// Bytes that a reader takes from the disk at a time: a few thousand records, within a level-2
 /// cache.
@@ -85,21 +81,4 @@ impl Seek for Window<'_> {
         self.at = target.ok_or(io::ErrorKind::InvalidInput)?;
         Ok(self.at)
     }
-}
-
-/// Copies bytes of an input to an output, whose name is `path`.
-pub(crate) fn copy(
-    file: &InputFile,
-    range: Range<u64>,
-    (out, path): (&mut BufWriter<AtomicFile>, &Path),
-) -> Result<(), ScanError> {
-    let mut block = vec![0; BLOCK_BYTES.min((range.end - range.start) as usize)];
-    let mut at = range.start;
-    while at < range.end {
-        let n = block.len().min((range.end - at) as usize);
-        file.read_exact_at(&mut block[..n], at)?;
-        out.write_all(&block[..n]).map_err(|e| StoreError::io(path, "write", e))?;
-        at += n as u64;
-    }
-    Ok(())
 }

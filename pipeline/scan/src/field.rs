@@ -63,6 +63,11 @@ impl ScalarField {
     }
 }
 
+/// Gives the bytes that fields take of a record.
+pub(crate) fn n_bytes(fields: &[ScalarField]) -> usize {
+    fields.iter().map(|f| f.kind.n_bytes()).sum()
+}
+
 /// Says what is wrong with the values of fields for a batch of `n_points`, if anything.
 pub(crate) fn mismatch(
     fields: &[ScalarField],

@@ -18,6 +18,7 @@ mod bytes;
 pub mod error;
 mod field;
 mod las;
+mod out;
 mod ply;
 mod rewrite;
 pub mod source;

@@ -5,11 +5,12 @@
 //! lengthened and written.
 
 use pvmap_geometry::Positions;
-use pvmap_store::{AtomicFile, ClosedFile, InputFile};
+use pvmap_store::{AtomicFile, ClosedFile, InputFile, Watch};
 
 use crate::error::ScanError;
 use crate::field::ScalarField;
 use crate::las::rewrite::LasRewrite;
+use crate::out::refused;
 use crate::ply::rewrite::PlyRewrite;
 use crate::source::{Content, Source};
 
@@ -45,22 +46,29 @@ enum Rewritten<'a> {
 }
 
 impl<'a> Rewrite<'a> {
-    /// Writes all that stands before the records. `input` is the file of the source, opened again.
+    /// Writes all that stands before the records. `input` is the file of the source, opened again;
+    /// `watch` hears of the bytes and may end the copying of them.
     ///
     /// # Errors
-    /// Where the input is broken or was changed, a field cannot be written, or the disk fails.
+    /// Where the input is broken or was changed, a field cannot be written, the disk fails, or the
+    /// run is asked to stop.
     pub fn begin(
         source: &'a Source,
         input: &'a InputFile,
         options: RewriteOptions<'_>,
+        watch: &dyn Watch,
     ) -> Result<Rewrite<'a>, ScanError> {
+        if let Some(problem) = options.fields.iter().find_map(ScalarField::problem) {
+            return Err(refused(options.output.path(), problem));
+        }
+        let info = source.info();
         let mut warnings = Vec::new();
         let begun = match source.content() {
             Content::Las(las) => {
-                LasRewrite::begin(las, (source.info(), input), options, &mut warnings)
+                LasRewrite::begin(las, (info, input), options, &mut warnings, watch)
                     .map(|las| Rewritten::Las(Box::new(las)))
             }
-            Content::Ply(ply) => PlyRewrite::begin(ply, (source.info(), input), options)
+            Content::Ply(ply) => PlyRewrite::begin(ply, (info, input), options, watch)
                 .map(|ply| Rewritten::Ply(Box::new(ply))),
         };
         Ok(Rewrite { source, input, content: source.settle(input, begun)?, warnings })
@@ -71,8 +79,8 @@ impl<'a> Rewrite<'a> {
         &self.warnings
     }
 
-    /// Reads some of the next records, up to `n`; gives their places, none at the end. Of places
-    /// that are not finite, too.
+    /// Reads some of the next records, up to `n`; gives their places, none at the end. A place that
+    /// is not finite is one of them.
     ///
     /// # Errors
     /// Where a record cannot be decoded or the disk fails.
@@ -83,6 +91,14 @@ impl<'a> Rewrite<'a> {
             Rewritten::Ply(ply) => ply.read(n),
         };
         self.source.settle(self.input, places)
+    }
+
+    /// Says why reading ended before the last record, if it did: only of a lenient source.
+    pub fn stopped(&self) -> Option<&str> {
+        match &self.content {
+            Rewritten::Las(las) => las.stopped(),
+            Rewritten::Ply(_) => None,
+        }
     }
 
     /// Writes the records that were read last, with the values of their fields: a column each.
@@ -96,14 +112,16 @@ impl<'a> Rewrite<'a> {
         }
     }
 
-    /// Writes all that stands behind the records; the file has yet to get its name.
+    /// Writes all that stands behind the records; the file has yet to get its name. `watch` hears
+    /// of the bytes and may end the copying of them.
     ///
     /// # Errors
-    /// Where the input is broken or was changed meanwhile, or the disk fails.
-    pub fn close(self) -> Result<ClosedFile, ScanError> {
+    /// Where the input is broken or was changed meanwhile, the disk fails, or the run is asked to
+    /// stop.
+    pub fn close(self, watch: &dyn Watch) -> Result<ClosedFile, ScanError> {
         let closed = match self.content {
-            Rewritten::Las(las) => las.close(),
-            Rewritten::Ply(ply) => ply.close(),
+            Rewritten::Las(las) => las.close(watch),
+            Rewritten::Ply(ply) => ply.close(watch),
         };
         let closed = self.source.settle(self.input, closed)?;
         self.source.check_unchanged(self.input)?;

@@ -282,7 +282,7 @@ impl Source {
     /// properties of vertices.
     pub fn names(&self) -> Vec<String> {
         match &self.content {
-            Content::Las(las) => las.names().to_vec(),
+            Content::Las(las) => las.names(),
             Content::Ply(ply) => ply.names(),
         }
     }
@@ -290,8 +290,17 @@ impl Source {
     /// Gives the bytes of the file, about, if it is written again with fields and uncompressed.
     pub fn rewritten_bytes(&self, fields: &[ScalarField]) -> u64 {
         match &self.content {
-            Content::Las(las) => las.rewritten_bytes(self.info.len_bytes, fields),
+            Content::Las(las) => las.rewritten_bytes(&self.info, fields),
             Content::Ply(ply) => ply.rewritten_bytes(&self.info, fields),
+        }
+    }
+
+    /// Gives the memory that a [`crate::Rewrite`] with fields holds beside a few blocks: that of
+    /// decoding a LAZ and, where `compressed`, of coding one, which is much where records are wide.
+    pub fn coder_bytes(&self, compressed: bool, fields: &[ScalarField]) -> u64 {
+        match &self.content {
+            Content::Las(las) => las.coder_bytes(compressed, fields),
+            Content::Ply(_) => 0,
         }
     }
 

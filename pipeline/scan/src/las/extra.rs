@@ -1,7 +1,21 @@
 //! Descriptors of extra bytes: what stands behind the fields of a point format, in which order.
 
 use super::records::{DESCRIPTOR_BYTES, kind_bytes};
+use super::vlr::VlrName;
 use crate::error::escaped;
+
+/// Bits of a descriptor's options that say it has a scale and an offset.
+pub(crate) const HAS_SCALE: u8 = 8;
+pub(crate) const HAS_OFFSET: u8 = 16;
+
+/// What a file says of the bytes behind the fields of its records.
+#[derive(Debug, Default)]
+pub(crate) struct Described {
+    /// Descriptors of 192 bytes, those of all records that have some.
+    pub(crate) descriptors: Vec<u8>,
+    /// What the first of those records is called.
+    pub(crate) name: Option<VlrName>,
+}
 
 /// Gives the bytes of what a descriptor describes; none where its type is unknown.
 pub(crate) fn described_bytes(descriptor: &[u8]) -> Option<usize> {
@@ -43,18 +57,26 @@ pub(crate) fn descriptors(was: &[u8], n_extra: usize, warnings: &mut Vec<String>
         }
         all.extend_from_slice(descriptor);
     }
-    let mut n_unnamed = 0;
+    let taken = names(was);
+    let mut free = (1u32..).map(|i| format!("unnamed_{i}")).filter(|name| !taken.contains(name));
     while n < n_extra {
-        let bytes = (n_extra - n).min(usize::from(u8::MAX));
-        n_unnamed += 1;
+        let bytes = run_bytes(n_extra - n);
         let mut descriptor = [0; DESCRIPTOR_BYTES];
-        descriptor[3] = bytes as u8;
-        let name = format!("unnamed_{n_unnamed}");
+        descriptor[3] = bytes;
+        let name = free.next().unwrap_or_default();
         descriptor[4..4 + name.len()].copy_from_slice(name.as_bytes());
         all.extend_from_slice(&descriptor);
-        n += bytes;
+        n += usize::from(bytes);
     }
     all
+}
+
+/// Gives how many of `n_left` > 0 bytes one descriptor without a type is for. Their number stands
+/// where others have options, and laspy takes its bits for those, too.
+fn run_bytes(n_left: usize) -> u8 {
+    let most = u8::try_from(n_left).unwrap_or(u8::MAX);
+    let is_plain = |n: &u8| n & (HAS_SCALE | HAS_OFFSET) == 0;
+    (1..=most).rev().find(is_plain).unwrap_or(1)
 }
 
 #[cfg(test)]
@@ -73,7 +95,9 @@ mod tests {
         for (n_extra, expected, n_warnings) in [
             (10, vec!["echo", "five", "three"], 0),
             (9, vec!["echo", "five", "unnamed_1"], 1),
-            (300, vec!["echo", "five", "three", "unnamed_1", "unnamed_2"], 0),
+            (248, vec!["echo", "five", "three", "unnamed_1", "unnamed_2"], 0),
+            // 8 is the bit of a scale.
+            (18, vec!["echo", "five", "three", "unnamed_1", "unnamed_2"], 0),
         ] {
             let mut warnings = Vec::new();
             let all = descriptors(&was, n_extra, &mut warnings);
@@ -83,6 +107,16 @@ mod tests {
             assert_eq!(bytes.sum::<usize>(), n_extra);
         }
         assert!(descriptors(&[], 0, &mut Vec::new()).is_empty());
+        for n_extra in 1..700 {
+            let all = descriptors(&of(0, 1, "unnamed_2"), n_extra, &mut Vec::new());
+            let mut found = names(&all);
+            let runs = all.chunks_exact(DESCRIPTOR_BYTES).map(|d| usize::from(d[3]));
+            assert!(runs.clone().all(|n| n > 0 && n & 0x18 == 0), "{n_extra}");
+            assert_eq!(runs.sum::<usize>(), n_extra);
+            found.sort();
+            found.dedup();
+            assert_eq!(found.len(), all.len() / DESCRIPTOR_BYTES, "{n_extra}: names of their own");
+        }
         let mut warnings = Vec::new();
         assert_eq!(names(&descriptors(&of(99, 0, "odd"), 3, &mut warnings)), ["unnamed_1"]);
         assert_eq!(warnings.len(), 1);

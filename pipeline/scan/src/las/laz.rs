@@ -11,15 +11,15 @@ use std::ops::{Range, RangeInclusive};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use laz::laszip::ChunkTable;
+use laz::laszip::{ChunkTable, LazItemRecordBuilder};
 use laz::record::{
     LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor,
 };
-use laz::{LazItem, LazVlr};
+use laz::{LazItem, LazVlr, LazVlrBuilder};
 use pvmap_geometry::PointBatch;
 use pvmap_store::InputFile;
 
-use super::header::Header;
+use super::header::{Header, RECORD_BYTES};
 use super::records::RecordLayout;
 use crate::bytes::{BLOCK_BYTES, Window, take, u16_at, u32_at};
 use crate::error::ScanError;
@@ -34,6 +34,19 @@ const POINTER_BYTES: u64 = 8;
 
 /// Bytes of the chunk table before its coded entries: version and count.
 const TABLE_HEAD_BYTES: u64 = 8;
+
+/// Most bytes of the records that are coded together, but for very wide ones: of formats 6 and up
+/// the coder holds them all. Other programs code 50 thousand together.
+const CHUNK_BYTES: u32 = 4 << 20;
+const LEAST_CHUNK_POINTS: u32 = 500;
+const MOST_CHUNK_POINTS: u32 = 50_000;
+
+/// What a coder has been seen to hold for each extra byte of formats 6 and up, and before.
+const LAYER_CODER_BYTES: u64 = 20 << 10;
+const BYTE_CODER_BYTES: u64 = 5 << 9;
+
+/// The type of the item for wave packets of point formats 4 and 5.
+const WAVE_PACKET_13: u16 = 9;
 
 thread_local! {
     static IS_DECODING: Cell<bool> = const { Cell::new(false) };
@@ -51,6 +64,45 @@ fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     let result = catch_unwind(AssertUnwindSafe(decode));
     IS_DECODING.set(false);
     result.unwrap_or_else(|_| Err("the compressed bytes make no sense".to_owned()))
+}
+
+/// Says how points of a format are compressed whose records have `record_bytes`.
+pub(super) fn vlr_of(point_format: u8, record_bytes: u16) -> Result<LazVlr, String> {
+    let n_extra = record_bytes - RECORD_BYTES[usize::from(point_format)];
+    let items = LazItemRecordBuilder::default_for_point_format_id(point_format, n_extra);
+    let vlr = LazVlrBuilder::new(items.map_err(|e| e.to_string())?)
+        .with_fixed_chunk_size(chunk_points(record_bytes))
+        .build();
+    let mut bytes = Vec::new();
+    vlr.write_to(&mut bytes).map_err(|e| e.to_string())?;
+    // The crate calls its one coder of wave packets version 2; LASzip knows it as 1 and refuses 2.
+    for item in bytes[VLR_BYTES..].chunks_exact_mut(ITEM_BYTES) {
+        if u16_at(item, 0) == WAVE_PACKET_13 {
+            item[4..6].copy_from_slice(&1u16.to_le_bytes());
+        }
+    }
+    LazVlr::from_buffer(&bytes).map_err(|e| e.to_string())
+}
+
+/// Gives how many records of a size are coded together.
+fn chunk_points(record_bytes: u16) -> u32 {
+    (CHUNK_BYTES / u32::from(record_bytes)).clamp(LEAST_CHUNK_POINTS, MOST_CHUNK_POINTS)
+}
+
+/// Gives the memory that coding records as LAZ holds.
+pub(super) fn coder_bytes(point_format: u8, record_bytes: u16) -> u64 {
+    // What is coded together grows by doubling.
+    let chunk_bytes = 2 * u64::from(chunk_points(record_bytes)) * u64::from(record_bytes);
+    held_bytes(point_format, record_bytes, chunk_bytes)
+}
+
+/// Gives the memory of a coder, or a decoder, that has a chunk at hand.
+fn held_bytes(point_format: u8, record_bytes: u16, chunk_bytes: u64) -> u64 {
+    let n_extra = u64::from(record_bytes - RECORD_BYTES[usize::from(point_format)]);
+    if point_format < 6 {
+        return n_extra * BYTE_CODER_BYTES;
+    }
+    n_extra * LAYER_CODER_BYTES + chunk_bytes
 }
 
 /// How the points of a LAZ file are cut and coded.
@@ -128,6 +180,16 @@ impl Laz {
         self.n_points.clone()
     }
 
+    /// Gives the memory that decoding the records of a file holds.
+    pub(super) fn decoder_bytes(&self, header: &Header) -> u64 {
+        let of = |c: &Chunk| match self.restart_every {
+            Some(n) => (c.end - c.at).min(n * u64::from(header.record_bytes)),
+            None => c.end - c.at,
+        };
+        let chunk_bytes = self.chunks.iter().map(of).max().unwrap_or(0);
+        held_bytes(header.point_format, header.record_bytes, chunk_bytes)
+    }
+
     /// Gives the start of the chunk that begins nearest to `record`.
     pub(crate) fn cut_near(&self, record: u64) -> u64 {
         let next = self.chunks.partition_point(|c| c.first_record <= record);
@@ -149,7 +211,17 @@ impl Laz {
         options: ReadOptions,
     ) -> LazReader<'a> {
         let is_lenient = options.lenient;
-        LazReader { laz: self, file, layout, source, left, is_lenient, open: None, raw: Vec::new() }
+        LazReader {
+            laz: self,
+            file,
+            layout,
+            source,
+            left,
+            is_lenient,
+            open: None,
+            raw: Vec::new(),
+            stopped: None,
+        }
     }
 }
 
@@ -313,6 +385,8 @@ pub(crate) struct LazReader<'a> {
     is_lenient: bool,
     open: Option<OpenChunk<'a>>,
     raw: Vec<u8>,
+    /// Why a lenient read ended too early.
+    stopped: Option<String>,
 }
 
 /// A chunk that is being decoded.
@@ -360,8 +434,14 @@ impl<'a> LazReader<'a> {
             }
             self.raw.truncate(n_good as usize * self.layout.record_bytes);
             self.left.end = first;
+            self.stopped = Some(problem);
         }
         Ok(&self.raw)
+    }
+
+    /// Says why a lenient read ended before the last record, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        self.stopped.as_deref()
     }
 
     /// Gives the records that are still to come.

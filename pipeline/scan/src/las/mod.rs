@@ -5,6 +5,7 @@ pub(crate) mod header;
 pub(crate) mod laz;
 pub(crate) mod records;
 pub(crate) mod rewrite;
+mod tail;
 mod vlr;
 pub(crate) mod write;
 
@@ -18,6 +19,7 @@ use crate::error::ScanError;
 use crate::source::{
     ColorRange, Columns, IntensityKind, PartReader, PositionKind, ReadOptions, SourceInfo,
 };
+use extra::Described;
 use header::Header;
 use laz::{Laz, LazReader};
 use records::RecordLayout;
@@ -32,8 +34,7 @@ pub(crate) struct LasFile {
     header: Header,
     layout: RecordLayout,
     laz: Option<Laz>,
-    /// The names of its extra bytes.
-    names: Vec<String>,
+    extra: Described,
     options: ReadOptions,
 }
 
@@ -46,7 +47,7 @@ impl LasFile {
         let mut warnings = Vec::new();
         let header = Header::read(file, &mut warnings)?;
         let records = Records::read(file, &header, options.lenient, &mut warnings)?;
-        let layout = RecordLayout::of(&header, records.extra_bytes.as_deref(), &mut warnings);
+        let layout = RecordLayout::of(&header, &records.extra.descriptors, &mut warnings);
         let laz = match (header.is_compressed, header.n_points) {
             (true, 1..) => {
                 let vlr = records.laszip.as_deref();
@@ -54,13 +55,12 @@ impl LasFile {
             }
             _ => None,
         };
-        let names = extra::names(records.extra_bytes.as_deref().unwrap_or_default());
         let n_present = laz
             .as_ref()
             .map_or_else(|| header.n_records_fit()..=header.n_records_fit(), Laz::n_points);
         let n_sure = if header.is_compressed && laz.is_none() { 0 } else { *n_present.start() };
         let n_points = reconcile(file, &header, n_present, options.lenient, &mut warnings)?;
-        let crs = records.into_crs();
+        let (extra, crs) = records.into_extra_and_crs();
         if crs.as_ref().is_some_and(|c| c.is_geographic()) {
             warnings.push(
                 "coordinates are degrees: distances along z are on another scale; reproject first"
@@ -89,7 +89,7 @@ impl LasFile {
             is_gps_time_since_1980: layout.has_gps_time().then_some(header.is_gps_time_since_1980),
             warnings,
         };
-        Ok((LasFile { header, layout, laz, names, options }, info))
+        Ok((LasFile { header, layout, laz, extra, options }, info))
     }
 
     /// Says whether the records are stored in chunks that are decoded from their start.
@@ -121,8 +121,8 @@ impl LasFile {
     }
 
     /// Gives the names of its extra bytes.
-    pub(crate) fn names(&self) -> &[String] {
-        &self.names
+    pub(crate) fn names(&self) -> Vec<String> {
+        extra::names(&self.extra.descriptors)
     }
 
     fn records<'a>(&'a self, file: &'a InputFile, source: u32, left: Range<u64>) -> RawRecords<'a> {
@@ -188,6 +188,14 @@ impl RawRecords<'_> {
             _ if left.is_empty() => Ok(&[]),
             RawRecords::Plain(reader) => reader.block(limit),
             RawRecords::Laz(reader) => reader.block(limit),
+        }
+    }
+
+    /// Says why reading ended before the last record, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        match self {
+            RawRecords::Plain(_) => None,
+            RawRecords::Laz(reader) => reader.stopped(),
         }
     }
 }

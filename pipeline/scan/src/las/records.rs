@@ -2,7 +2,7 @@
 
 use pvmap_geometry::{Intensity, PointBatch, Positions};
 
-use super::extra::{described_bytes, name_of};
+use super::extra::{HAS_OFFSET, HAS_SCALE, described_bytes, name_of};
 use super::header::Header;
 use crate::bytes::{f64_at, i32_at, take, u16_at, u32_at};
 use crate::error::escaped;
@@ -27,7 +27,7 @@ impl RecordLayout {
     /// Lays out the records of a file by its point format and extra-bytes descriptors.
     pub(crate) fn of(
         header: &Header,
-        descriptors: Option<&[u8]>,
+        descriptors: &[u8],
         warnings: &mut Vec<String>,
     ) -> RecordLayout {
         let is_legacy = header.point_format < 6;
@@ -45,7 +45,7 @@ impl RecordLayout {
             _ => (Some(22), Some(30), 67),
         };
         let record_bytes = usize::from(header.record_bytes);
-        let normal = descriptors.and_then(|d| find_normal(d, extra_at..record_bytes, warnings));
+        let normal = find_normal(descriptors, extra_at..record_bytes, warnings);
         RecordLayout {
             record_bytes,
             class_at: if is_legacy { 15 } else { 16 },
@@ -174,9 +174,10 @@ fn find_normal(
             break;
         }
         if let (Some(axis), 1..=10) = (normal_axis(name), kind) {
-            let scale = if options & 8 != 0 { f64_at(d, 112) } else { 1.0 };
-            let offset = if options & 16 != 0 { f64_at(d, 136) } else { 0.0 };
-            found[axis] = Some(ExtraField { at, kind, scale, offset });
+            let scale = if options & HAS_SCALE != 0 { f64_at(d, 112) } else { 1.0 };
+            let offset = if options & HAS_OFFSET != 0 { f64_at(d, 136) } else { 0.0 };
+            // The first of an axis: an export puts the normals of a map behind those of the scan.
+            found[axis].get_or_insert(ExtraField { at, kind, scale, offset });
         }
         at += n_bytes;
     }
@@ -228,6 +229,11 @@ mod tests {
         let fields = find_normal(&descriptors, 20..row.len(), &mut warnings);
         assert_eq!(fields.map(|f| f.map(|f| f.value(&row))), Some([-0.5, 0.5, 0.25]));
         assert!(warnings.is_empty());
+        // Another name for the same axis does not take its place.
+        let again = [descriptors.clone(), descriptor(9, 0, "nx", 0.0, 0.0)].concat();
+        let longer = [row.clone(), 7f32.to_le_bytes().to_vec()].concat();
+        let fields = find_normal(&again, 20..longer.len(), &mut warnings);
+        assert_eq!(fields.map(|f| f[0].value(&longer)), Some(-0.5));
         // The record is a byte too short for the last of them.
         assert!(find_normal(&descriptors, 20..row.len() - 1, &mut warnings).is_none());
         assert_eq!(warnings.len(), 1);

@@ -5,25 +5,26 @@
 //! the program that made the file. The `las` crate would know fewer of the bytes: it keeps one
 //! extended record of several, and no wave packets.
 
-use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::io::Write;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use laz::laszip::LazItemRecordBuilder;
-use laz::{LasZipCompressor, LazVlr};
+use ::laz::{LasZipCompressor, LazVlr};
 use pvmap_geometry::Positions;
-use pvmap_store::{AtomicFile, ClosedFile, InputFile, StoreError};
+use pvmap_store::{ClosedFile, InputFile, Watch};
 
 use super::extra::descriptors;
 use super::header::{Header, RECORD_BYTES};
-use super::vlr::{Records, VLR_HEADER_BYTES, VlrPlace, walk_extended, walk_plain};
-use super::write::{descriptor, whole_texts};
-use super::{LasFile, RawRecords};
-use crate::bytes::{copy, i32_at, u32_at, u64_at};
+use super::tail::Tail;
+use super::vlr::{Kind, VlrName, walk_plain};
+use super::write::{BOUNDS_OFFSET, MAX_VLR_BYTES, bounds, descriptor, whole_texts};
+use super::{LasFile, RawRecords, laz};
+use crate::bytes::{i32_at, u32_at, u64_at};
 use crate::error::ScanError;
 use crate::field::{self, ScalarField};
+use crate::out::{Out, lost, refused};
 use crate::rewrite::RewriteOptions;
-use crate::source::SourceInfo;
+use crate::source::{SourceInfo, StoredBounds};
 
 /// Where a header names the program that made the file, in 32 bytes.
 const SOFTWARE: Range<usize> = 58..90;
@@ -37,24 +38,28 @@ const N_RETURNS: usize = 15;
 
 /// The points of an output.
 enum Points {
-    Plain(BufWriter<AtomicFile>),
-    Laz(Box<LasZipCompressor<'static, BufWriter<AtomicFile>>>),
+    Plain(Out),
+    Laz(Box<LasZipCompressor<'static, Out>>),
 }
 
 /// A LAS or LAZ that is read and written again.
 pub(crate) struct LasRewrite<'a> {
     las: &'a LasFile,
+    info: &'a SourceInfo,
     file: &'a InputFile,
     records: RawRecords<'a>,
     points: Points,
     fields: Vec<ScalarField>,
     /// The header as it will be.
     head: Vec<u8>,
+    /// Descriptors of extra bytes, where they are too many to stand before the points.
+    late: Option<Vec<u8>>,
     /// The records that were read last, and what becomes of them.
     raw: Vec<u8>,
     rows: Vec<u8>,
     n_written: u64,
     n_of_return: [u64; N_RETURNS],
+    bounds: StoredBounds,
     path: PathBuf,
 }
 
@@ -62,19 +67,16 @@ impl<'a> LasRewrite<'a> {
     /// Writes all that stands before the points; what is not kept goes to `warnings`.
     pub(crate) fn begin(
         las: &'a LasFile,
-        (info, file): (&SourceInfo, &'a InputFile),
+        (info, file): (&'a SourceInfo, &'a InputFile),
         options: RewriteOptions<'_>,
         warnings: &mut Vec<String>,
+        watch: &dyn Watch,
     ) -> Result<LasRewrite<'a>, ScanError> {
         let RewriteOptions { output, compressed, fields, software } = options;
         let path = output.path().to_path_buf();
-        let fail = |problem: String| ScanError::Write { path: path.clone(), problem };
-        if let Some(problem) = fields.iter().find_map(ScalarField::problem) {
-            return Err(fail(problem));
-        }
+        let fail = |problem: String| refused(&path, problem);
         let header = &las.header;
-        let n_added: usize = fields.iter().map(|f| f.kind.n_bytes()).sum();
-        let record_bytes = u16::try_from(las.layout.record_bytes + n_added)
+        let record_bytes = u16::try_from(las.layout.record_bytes + field::n_bytes(fields))
             .map_err(|_| fail("its records would have more than 65535 bytes".to_owned()))?;
         let mut head = vec![0; header.header_bytes as usize];
         file.read_exact_at(&mut head, 0)?;
@@ -82,18 +84,33 @@ impl<'a> LasRewrite<'a> {
         if head[6] & HAS_WAVE_FILE != 0 {
             warnings.push("its wave packets are in a .wdp file: copy that to its name, too".into());
         }
-        let laz = compressed.then(|| laz_vlr(header, record_bytes)).transpose().map_err(fail)?;
-        let extra = describe(las, file, fields, warnings)?;
-        let out = BufWriter::with_capacity(1 << 20, output);
-        let mut front = Front { out, n_vlrs: 0, path: path.clone() };
-        front.write(&head)?;
-        front.copy_vlrs(file, header, (&extra, laz.as_ref()), fields, warnings)?;
+        // It reads no formats with wave packets at all.
+        let is_read = !matches!(header.point_format, 4 | 5);
+        if !fields.is_empty() && header.version < (1, 4) && is_read {
+            let (major, minor) = header.version;
+            warnings.push(format!(
+                "LAS {major}.{minor}: PDAL reads its new fields with \
+                 --readers.las.use_eb_vlr=true alone"
+            ));
+        }
+        let coded = compressed.then(|| laz::vlr_of(header.point_format, record_bytes));
+        let coded = coded.transpose().map_err(fail)?;
+        let extra = describe(las, fields, warnings);
+        let is_late = extra.len() > MAX_VLR_BYTES;
+        if is_late && header.version < (1, 4) {
+            return Err(fail(format!("too many extra bytes to describe: {}", extra.len())));
+        }
+        let (extra, late) = if is_late { (Vec::new(), Some(extra)) } else { (extra, None) };
+        watch.stage("front", Some(header.points_offset), "bytes");
+        let mut front = Front { out: Out::new(output), n_vlrs: 0, watch };
+        front.out.put(&head)?;
+        front.copy_vlrs(las, file, (&extra, coded.as_ref()), fields, warnings)?;
         let Front { mut out, n_vlrs, .. } = front;
-        let begin = out.stream_position().map_err(|e| StoreError::io(&path, "write", e))?;
-        let begin = u32::try_from(begin).map_err(|_| fail("too much before its points".into()))?;
+        let begin = u32::try_from(out.position()?);
+        let begin = begin.map_err(|_| fail("too much before its points".into()))?;
         head[96..100].copy_from_slice(&begin.to_le_bytes());
         head[100..104].copy_from_slice(&n_vlrs.to_le_bytes());
-        let points = match laz {
+        let points = match coded {
             None => Points::Plain(out),
             Some(vlr) => {
                 let laz = LasZipCompressor::new(out, vlr).map_err(|e| fail(e.to_string()))?;
@@ -102,17 +119,25 @@ impl<'a> LasRewrite<'a> {
         };
         Ok(LasRewrite {
             las,
+            info,
             file,
             records: las.raw_reader(file, info.n_points),
             points,
             fields: fields.to_vec(),
             head,
+            late,
             raw: Vec::new(),
             rows: Vec::new(),
             n_written: 0,
             n_of_return: [0; N_RETURNS],
+            bounds: StoredBounds::EMPTY,
             path,
         })
+    }
+
+    /// Says why reading ended before the last record, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        self.records.stopped()
     }
 
     /// Reads some of the next records, up to `n`; gives their places, none at the end.
@@ -120,7 +145,10 @@ impl<'a> LasRewrite<'a> {
         self.raw.clear();
         self.raw.extend_from_slice(self.records.block(n)?);
         let rows = self.raw.chunks_exact(self.las.layout.record_bytes);
-        Ok(Positions::Lattice(rows.map(|r| [i32_at(r, 0), i32_at(r, 4), i32_at(r, 8)]).collect()))
+        let places = rows.map(|r| [i32_at(r, 0), i32_at(r, 4), i32_at(r, 8)]).collect();
+        let places = Positions::Lattice(places);
+        self.bounds = self.bounds.join(&StoredBounds::of(&places));
+        Ok(places)
     }
 
     /// Writes the records that were read last, each with its values: a column a field.
@@ -128,7 +156,7 @@ impl<'a> LasRewrite<'a> {
         let record_bytes = self.las.layout.record_bytes;
         let n = self.raw.len() / record_bytes;
         if let Some(problem) = field::mismatch(&self.fields, values, n) {
-            return Err(ScanError::Write { path: self.path.clone(), problem });
+            return Err(refused(&self.path, problem));
         }
         self.rows.clear();
         let return_mask = if self.las.header.point_format < 6 { 0x07 } else { 0x0f };
@@ -145,50 +173,72 @@ impl<'a> LasRewrite<'a> {
             Points::Plain(out) => out.write_all(&self.rows),
             Points::Laz(laz) => laz.compress_many(&self.rows),
         }
-        .map_err(|e| StoreError::io(&self.path, "write", e).into())
+        .map_err(|e| lost(&self.path, e))
     }
 
     /// Writes all that stands behind the points, and the header once more.
-    pub(crate) fn close(mut self) -> Result<ClosedFile, ScanError> {
-        let path = self.path;
-        let fail = |e| StoreError::io(&path, "write", e);
+    pub(crate) fn close(mut self, watch: &dyn Watch) -> Result<ClosedFile, ScanError> {
         let mut out = match self.points {
             Points::Plain(out) => out,
             Points::Laz(mut laz) => {
-                laz.done().map_err(fail)?;
+                laz.done().map_err(|e| lost(&self.path, e))?;
                 laz.into_inner()
             }
         };
-        let at = out.seek(SeekFrom::End(0)).map_err(fail)?;
-        let mut tail = Tail { at, first_evlr: 0, n_evlrs: 0, waves: None };
-        tail.copy(self.file, &self.las.header, (&mut out, &path), &self.head).or_else(|e| {
-            // What a cut file lacks was told when it was opened.
-            let is_cut = self.las.options.lenient && matches!(e, ScanError::Header { .. });
-            if is_cut { Ok(()) } else { Err(e) }
-        })?;
-        if let Some(at) = tail.waves {
+        let header = &self.las.header;
+        let waves = if header.version >= (1, 3) { u64_at(&self.head, WAVES_OFFSET) } else { 0 };
+        let ours = self.late.as_deref().map(|data| (self.las.extra_name(), data));
+        let tail = Tail::of(self.las, self.info, self.file)?;
+        let places = tail.write((self.file, &mut out), waves, ours, watch)?;
+        if let Some(at) = places.waves {
             self.head[WAVES_OFFSET..WAVES_OFFSET + 8].copy_from_slice(&at.to_le_bytes());
         }
-        if self.las.header.version >= (1, 4) {
-            self.head[235..243].copy_from_slice(&tail.first_evlr.to_le_bytes());
-            self.head[243..247].copy_from_slice(&tail.n_evlrs.to_le_bytes());
+        if header.version >= (1, 4) {
+            self.head[235..243].copy_from_slice(&places.first_evlr.to_le_bytes());
+            self.head[243..247].copy_from_slice(&places.n_evlrs.to_le_bytes());
         }
-        if self.n_written != self.las.header.n_points {
-            patch_counts(&mut self.head, &self.las.header, self.n_written, &self.n_of_return);
+        if self.n_written != header.n_points {
+            patch_counts(&mut self.head, header, self.n_written, &self.n_of_return);
+            let bounds = bounds(self.bounds, header.scale, header.offset);
+            self.head[BOUNDS_OFFSET..BOUNDS_OFFSET + bounds.len()].copy_from_slice(&bounds);
         }
-        let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
-        file.write_at(&self.head, 0)?;
-        Ok(file.close()?)
+        out.close(&self.head)
     }
 }
 
 impl LasFile {
     /// Gives the bytes of the file, about, if it is written again with fields and uncompressed.
-    pub(crate) fn rewritten_bytes(&self, len_bytes: u64, fields: &[ScalarField]) -> u64 {
-        let Header { points_offset, points_end, n_points, .. } = self.header;
-        let n_added: usize = fields.iter().map(|f| f.kind.n_bytes()).sum();
-        let records = n_points.saturating_mul((self.layout.record_bytes + n_added) as u64);
-        records.saturating_add(points_offset).saturating_add(len_bytes.saturating_sub(points_end))
+    pub(crate) fn rewritten_bytes(&self, info: &SourceInfo, fields: &[ScalarField]) -> u64 {
+        let record_bytes = (self.layout.record_bytes + field::n_bytes(fields)) as u64;
+        let records = info.n_points.saturating_mul(record_bytes);
+        let behind = info.len_bytes.saturating_sub(self.end_of_points(info));
+        records.saturating_add(self.header.points_offset + behind)
+    }
+
+    /// Gives where the points end, as far as that is known: of a LAZ where the next thing begins
+    /// that the header names.
+    pub(super) fn end_of_points(&self, info: &SourceInfo) -> u64 {
+        let header = &self.header;
+        if header.is_compressed || info.n_missing > 0 {
+            return header.points_end;
+        }
+        // No overflow: there is room for them.
+        header.points_offset + info.n_points * u64::from(header.record_bytes)
+    }
+
+    /// Gives what the record is called that describes the extra bytes.
+    fn extra_name(&self) -> VlrName {
+        self.extra.name.unwrap_or_else(VlrName::extra_bytes)
+    }
+
+    /// Gives the memory that decoding and coding hold while it is written again with fields.
+    pub(crate) fn coder_bytes(&self, compressed: bool, fields: &[ScalarField]) -> u64 {
+        let decoder_bytes = self.laz.as_ref().map_or(0, |laz| laz.decoder_bytes(&self.header));
+        let n_bytes = self.layout.record_bytes + field::n_bytes(fields);
+        // Where there can be no such records that is said when they are begun.
+        let record_bytes = u16::try_from(n_bytes).ok().filter(|_| compressed);
+        let coder_bytes = record_bytes.map(|n| laz::coder_bytes(self.header.point_format, n));
+        decoder_bytes + coder_bytes.unwrap_or(0)
     }
 }
 
@@ -226,168 +276,69 @@ fn patch_counts(head: &mut [u8], header: &Header, n: u64, n_of_return: &[u64; N_
     }
 }
 
-/// Says how points of a file are compressed whose records have `record_bytes`.
-fn laz_vlr(header: &Header, record_bytes: u16) -> Result<LazVlr, String> {
-    let n_extra = record_bytes - RECORD_BYTES[usize::from(header.point_format)];
-    let items = LazItemRecordBuilder::default_for_point_format_id(header.point_format, n_extra);
-    Ok(LazVlr::from_laz_items(items.map_err(|e| e.to_string())?))
-}
-
 /// Describes the extra bytes of the file and the fields behind them.
-fn describe(
-    las: &LasFile,
-    file: &InputFile,
-    fields: &[ScalarField],
-    warnings: &mut Vec<String>,
-) -> Result<Vec<u8>, ScanError> {
-    let header = &las.header;
-    // What it warns of was told when the file was opened.
-    let was = Records::read(file, header, las.options.lenient, &mut Vec::new())?.extra_bytes;
-    let n_extra = header.record_bytes - RECORD_BYTES[usize::from(header.point_format)];
-    let mut all = descriptors(was.as_deref().unwrap_or_default(), n_extra.into(), warnings);
+fn describe(las: &LasFile, fields: &[ScalarField], warnings: &mut Vec<String>) -> Vec<u8> {
+    let n_extra = las.header.record_bytes - RECORD_BYTES[usize::from(las.header.point_format)];
+    let mut all = descriptors(&las.extra.descriptors, n_extra.into(), warnings);
     all.extend(fields.iter().flat_map(descriptor));
-    Ok(all)
+    all
 }
 
 /// What stands between the header and the points.
-struct Front {
-    out: BufWriter<AtomicFile>,
+struct Front<'a> {
+    out: Out,
     n_vlrs: u32,
-    path: PathBuf,
+    watch: &'a dyn Watch,
 }
 
-impl Front {
+impl Front<'_> {
     /// Copies the plain records and the bytes behind them; those that say what points are like are
     /// replaced where they stand, or put behind the others.
     fn copy_vlrs(
         &mut self,
+        las: &LasFile,
         file: &InputFile,
-        header: &Header,
         (extra, laz): (&[u8], Option<&LazVlr>),
         fields: &[ScalarField],
         warnings: &mut Vec<String>,
     ) -> Result<(), ScanError> {
+        let header = &las.header;
         let (mut extra, mut laz) = ((!extra.is_empty()).then_some(extra), laz);
-        let end = walk_plain(file, header, |vlr| match kind_of(vlr) {
-            Kind::Extra => extra.take().map_or(Ok(()), |e| self.put_extra(e)),
-            Kind::Laz => laz.take().map_or(Ok(()), |laz| self.put_laz(laz)),
+        let end = walk_plain(file, header, |vlr| match vlr.name.kind() {
+            Kind::ExtraBytes => extra.take().map_or(Ok(()), |e| self.put(&vlr.name, e)),
+            Kind::Laszip => laz.take().map_or(Ok(()), |laz| self.put_laz(&vlr.name, laz)),
             Kind::Copc => {
                 let what = "it is no COPC any more: the index of its points is left out";
                 warnings.push(what.to_owned());
                 Ok(())
             }
-            Kind::Other => {
+            _ => {
                 self.n_vlrs += 1;
-                copy(file, vlr.at..vlr.end(), (&mut self.out, &self.path))
+                self.out.copy(file, vlr.at..vlr.end(), self.watch)
             }
         })?;
-        extra.map_or(Ok(()), |extra| self.put_extra(extra))?;
+        extra.map_or(Ok(()), |extra| self.put(&las.extra_name(), extra))?;
         if let Some(text) = whole_texts(fields) {
-            self.put((&text.user_id, text.record_id, &text.description), &text.data)?;
+            let name = VlrName::new(&text.user_id, text.record_id, &text.description);
+            self.put(&name, &text.data)?;
         }
-        laz.map_or(Ok(()), |laz| self.put_laz(laz))?;
-        copy(file, end..header.points_offset, (&mut self.out, &self.path))
+        laz.map_or(Ok(()), |laz| self.put_laz(&VlrName::laszip(), laz))?;
+        self.out.copy(file, end..header.points_offset, self.watch)
     }
 
-    fn put_extra(&mut self, descriptors: &[u8]) -> Result<(), ScanError> {
-        self.put(("LASF_Spec", 4, "extra bytes"), descriptors)
-    }
-
-    fn put_laz(&mut self, laz: &LazVlr) -> Result<(), ScanError> {
+    fn put_laz(&mut self, name: &VlrName, laz: &LazVlr) -> Result<(), ScanError> {
         let mut data = Vec::new();
-        laz.write_to(&mut data).map_err(|e| StoreError::io(&self.path, "write", e))?;
-        self.put(("laszip encoded", 22204, "compression"), &data)
+        laz.write_to(&mut data).map_err(|e| lost(self.out.path(), e))?;
+        self.put(name, &data)
     }
 
     /// Writes a record of our own.
-    fn put(
-        &mut self,
-        (user_id, record_id, description): (&str, u16, &str),
-        data: &[u8],
-    ) -> Result<(), ScanError> {
-        let n_bytes = u16::try_from(data.len()).map_err(|_| ScanError::Write {
-            path: self.path.clone(),
-            problem: format!("too many extra bytes to describe: {}", data.len()),
+    fn put(&mut self, name: &VlrName, data: &[u8]) -> Result<(), ScanError> {
+        let n_bytes = u16::try_from(data.len()).map_err(|_| {
+            refused(self.out.path(), format!("a record of {} bytes has no room", data.len()))
         })?;
-        let mut head = [0; VLR_HEADER_BYTES as usize];
-        head[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
-        head[18..20].copy_from_slice(&record_id.to_le_bytes());
-        head[20..22].copy_from_slice(&n_bytes.to_le_bytes());
-        head[22..22 + description.len()].copy_from_slice(description.as_bytes());
         self.n_vlrs += 1;
-        self.write(&head)?;
-        self.write(data)
-    }
-
-    fn write(&mut self, bytes: &[u8]) -> Result<(), ScanError> {
-        Ok(self.out.write_all(bytes).map_err(|e| StoreError::io(&self.path, "write", e))?)
-    }
-}
-
-/// What becomes of a record.
-enum Kind {
-    Extra,
-    Laz,
-    Copc,
-    Other,
-}
-
-fn kind_of(vlr: &VlrPlace) -> Kind {
-    match (vlr.user(), vlr.record_id) {
-        (b"LASF_Spec", 4) => Kind::Extra,
-        (b"laszip encoded", 22204) => Kind::Laz,
-        (b"copc", _) => Kind::Copc,
-        _ => Kind::Other,
-    }
-}
-
-/// What stands behind the points.
-struct Tail {
-    at: u64,
-    first_evlr: u64,
-    n_evlrs: u32,
-    /// Where the wave packets begin now, if there are any.
-    waves: Option<u64>,
-}
-
-impl Tail {
-    /// Copies extended records and wave packets.
-    fn copy(
-        &mut self,
-        file: &InputFile,
-        header: &Header,
-        (out, path): (&mut BufWriter<AtomicFile>, &Path),
-        head: &[u8],
-    ) -> Result<(), ScanError> {
-        let waves = if header.version >= (1, 3) { u64_at(head, WAVES_OFFSET) } else { 0 };
-        let end = file.len_bytes();
-        let has_waves = waves >= header.points_offset && waves < end;
-        // They are one of the extended records, or stand by themselves in LAS 1.3.
-        let mut are_listed = false;
-        walk_extended(file, header, |vlr| {
-            are_listed |= vlr.at == waves;
-            Ok(())
-        })?;
-        if has_waves && !are_listed {
-            let is_before = header.n_evlrs > 0 && header.evlrs_offset > waves;
-            let range = waves..if is_before { header.evlrs_offset } else { end };
-            self.waves = Some(self.at);
-            self.at += range.end - range.start;
-            copy(file, range, (out, path))?;
-        }
-        walk_extended(file, header, |vlr| {
-            if !matches!(kind_of(vlr), Kind::Other) {
-                return Ok(());
-            }
-            if has_waves && vlr.at == waves {
-                self.waves = Some(self.at);
-            }
-            if self.n_evlrs == 0 {
-                self.first_evlr = self.at;
-            }
-            self.n_evlrs += 1;
-            self.at += vlr.end() - vlr.at;
-            copy(file, vlr.at..vlr.end(), (out, path))
-        })
+        self.out.put(&name.plain(n_bytes))?;
+        self.out.put(data)
     }
 }

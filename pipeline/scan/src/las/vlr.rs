@@ -1,8 +1,11 @@
 //! Variable length records, plain and extended: compression, extra bytes and the CRS.
 
+use laz::LazVlr;
 use pvmap_store::InputFile;
 
+use super::extra::Described;
 use super::header::Header;
+use super::records::DESCRIPTOR_BYTES;
 use crate::bytes::{take, u16_at, u64_at};
 use crate::error::ScanError;
 use crate::source::Crs;
@@ -19,8 +22,8 @@ const KEPT_BYTES: u64 = 1 << 20;
 pub(crate) struct Records {
     /// How the points are compressed.
     pub(crate) laszip: Option<Vec<u8>>,
-    /// What the bytes behind each point are: descriptors of 192 bytes.
-    pub(crate) extra_bytes: Option<Vec<u8>>,
+    /// What the bytes behind each point are.
+    pub(crate) extra: Described,
     wkt: Option<Vec<u8>>,
     geo_keys: Option<Vec<u8>>,
     geo_doubles: Option<Vec<u8>>,
@@ -36,7 +39,7 @@ impl Records {
         warnings: &mut Vec<String>,
     ) -> Result<Records, ScanError> {
         let mut records = Records::default();
-        walk_plain(file, header, |vlr| records.keep(file, vlr))?;
+        walk_plain(file, header, |vlr| records.keep(file, vlr, warnings))?;
         match records.read_extended(file, header, warnings) {
             Err(ScanError::Header { place, problem, .. }) if is_lenient => {
                 warnings.push(format!("{place}: {problem}: not read"));
@@ -46,16 +49,14 @@ impl Records {
         Ok(records)
     }
 
-    /// Gives the coordinate reference system; text wins over keys.
-    pub(crate) fn into_crs(self) -> Option<Crs> {
-        if let Some(text) = self.wkt {
-            return Some(Crs::Wkt(text));
-        }
-        self.geo_keys.map(|keys| Crs::GeoTiff {
+    /// Gives what extra bytes are, and the coordinate reference system; text wins over keys.
+    pub(crate) fn into_extra_and_crs(self) -> (Described, Option<Crs>) {
+        let of_keys = |keys| Crs::GeoTiff {
             keys,
             doubles: self.geo_doubles.unwrap_or_default(),
             texts: self.geo_texts.unwrap_or_default(),
-        })
+        };
+        (self.extra, self.wkt.map(Crs::Wkt).or_else(|| self.geo_keys.map(of_keys)))
     }
 
     fn read_extended(
@@ -68,29 +69,36 @@ impl Records {
         walk_extended(file, header, |vlr| {
             i += 1;
             if vlr.n_bytes <= KEPT_BYTES {
-                self.keep(file, vlr)?;
-            } else if vlr.user() == b"LASF_Projection" {
-                warnings.push(format!("EVLR {i}: {} bytes are too long for a CRS", vlr.n_bytes));
+                self.keep(file, vlr, warnings)?;
+            } else if vlr.name.kind() != Kind::Other {
+                warnings.push(format!("EVLR {i}: {} bytes are too many: not read", vlr.n_bytes));
             }
             Ok(())
         })
     }
 
-    /// Reads a payload if it is one that matters; the first of a kind wins.
-    fn keep(&mut self, file: &InputFile, vlr: &VlrPlace) -> Result<(), ScanError> {
-        let slot = match (vlr.user(), vlr.record_id) {
-            (b"laszip encoded", 22204) => &mut self.laszip,
-            (b"LASF_Spec", 4) => &mut self.extra_bytes,
-            (b"LASF_Projection", 2112) => &mut self.wkt,
-            (b"LASF_Projection", 34735) => &mut self.geo_keys,
-            (b"LASF_Projection", 34736) => &mut self.geo_doubles,
-            (b"LASF_Projection", 34737) => &mut self.geo_texts,
-            _ => return Ok(()),
+    /// Reads a payload if it is one that matters; the first of a kind wins, but descriptors of
+    /// extra bytes stand in as many records as a program likes.
+    fn keep(
+        &mut self,
+        file: &InputFile,
+        vlr: &VlrPlace,
+        warnings: &mut Vec<String>,
+    ) -> Result<(), ScanError> {
+        let kind = vlr.name.kind();
+        let slot = match kind {
+            Kind::ExtraBytes => return self.describe(file, vlr, warnings),
+            Kind::Laszip => &mut self.laszip,
+            Kind::Wkt => &mut self.wkt,
+            Kind::GeoKeys => &mut self.geo_keys,
+            Kind::GeoDoubles => &mut self.geo_doubles,
+            Kind::GeoTexts => &mut self.geo_texts,
+            Kind::Copc | Kind::Other => return Ok(()),
         };
         if slot.is_none() {
             let mut payload = vec![0; vlr.n_bytes as usize];
             file.read_exact_at(&mut payload, vlr.payload_at)?;
-            if vlr.user() == b"LASF_Projection" && vlr.record_id == 2112 {
+            if kind == Kind::Wkt {
                 // The text is a C string: the terminator is no part of it.
                 while payload.last() == Some(&0) {
                     payload.pop();
@@ -100,13 +108,125 @@ impl Records {
         }
         Ok(())
     }
+
+    /// Puts the descriptors of a record behind those there are.
+    fn describe(
+        &mut self,
+        file: &InputFile,
+        vlr: &VlrPlace,
+        warnings: &mut Vec<String>,
+    ) -> Result<(), ScanError> {
+        let Described { descriptors, name } = &mut self.extra;
+        name.get_or_insert(vlr.name);
+        let n_had = descriptors.len();
+        let n_bytes = vlr.n_bytes as usize / DESCRIPTOR_BYTES * DESCRIPTOR_BYTES;
+        if n_had + n_bytes > KEPT_BYTES as usize {
+            let n = n_bytes / DESCRIPTOR_BYTES;
+            warnings.push(format!("{n} descriptors of extra bytes are too many: not read"));
+            return Ok(());
+        }
+        descriptors.resize(n_had + n_bytes, 0);
+        Ok(file.read_exact_at(&mut descriptors[n_had..], vlr.payload_at)?)
+    }
+}
+
+/// What a record is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Descriptors of extra bytes.
+    ExtraBytes,
+    /// How points are compressed.
+    Laszip,
+    /// The index of a COPC.
+    Copc,
+    Wkt,
+    GeoKeys,
+    GeoDoubles,
+    GeoTexts,
+    /// Something else.
+    Other,
+}
+
+/// What the header of a record says beside its length, plain or extended.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct VlrName {
+    reserved: [u8; 2],
+    user_id: [u8; 16],
+    record_id: u16,
+    description: [u8; 32],
+}
+
+impl VlrName {
+    /// What descriptors of extra bytes are called where a file has none.
+    pub(crate) fn extra_bytes() -> VlrName {
+        VlrName::new("LASF_Spec", 4, "extra bytes")
+    }
+
+    /// What the record is called that says how points are compressed.
+    pub(crate) fn laszip() -> VlrName {
+        VlrName::new(LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION)
+    }
+
+    /// Names a record, in up to 16 and 32 characters of ASCII.
+    pub(crate) fn new(user_id: &str, record_id: u16, description: &str) -> VlrName {
+        fn filled<const N: usize>(text: &str) -> [u8; N] {
+            let mut bytes = [0; N];
+            bytes.iter_mut().zip(text.bytes()).for_each(|(slot, byte)| *slot = byte);
+            bytes
+        }
+        VlrName {
+            reserved: [0; 2],
+            user_id: filled(user_id),
+            record_id,
+            description: filled(description),
+        }
+    }
+
+    /// Takes the name out of a header, whose description is its end.
+    fn of(head: &[u8]) -> VlrName {
+        VlrName {
+            reserved: take(head, 0),
+            user_id: take(head, 2),
+            record_id: u16_at(head, 18),
+            description: take(head, head.len() - 32),
+        }
+    }
+
+    /// Says what the record is about.
+    pub(crate) fn kind(&self) -> Kind {
+        let user = self.user_id.split(|&b| b == 0).next().unwrap_or_default();
+        match (user, self.record_id) {
+            (b"LASF_Spec", 4) => Kind::ExtraBytes,
+            (b"laszip encoded", 22204) => Kind::Laszip,
+            (b"copc", _) => Kind::Copc,
+            (b"LASF_Projection", 2112) => Kind::Wkt,
+            (b"LASF_Projection", 34735) => Kind::GeoKeys,
+            (b"LASF_Projection", 34736) => Kind::GeoDoubles,
+            (b"LASF_Projection", 34737) => Kind::GeoTexts,
+            _ => Kind::Other,
+        }
+    }
+
+    /// Gives the header of a plain record.
+    pub(crate) fn plain(&self, n_bytes: u16) -> Vec<u8> {
+        self.head(&n_bytes.to_le_bytes())
+    }
+
+    /// Gives the header of an extended record.
+    pub(crate) fn extended(&self, n_bytes: u64) -> Vec<u8> {
+        self.head(&n_bytes.to_le_bytes())
+    }
+
+    fn head(&self, n_bytes: &[u8]) -> Vec<u8> {
+        let id = self.record_id.to_le_bytes();
+        [&self.reserved[..], &self.user_id, &id, n_bytes, &self.description].concat()
+    }
 }
 
 /// A record whose payload lies within the file.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VlrPlace {
-    user_id: [u8; 16],
-    pub(crate) record_id: u16,
+    pub(crate) name: VlrName,
     /// Where its header begins.
     pub(crate) at: u64,
     pub(crate) payload_at: u64,
@@ -114,11 +234,6 @@ pub(crate) struct VlrPlace {
 }
 
 impl VlrPlace {
-    /// Gives its user id without the zeros behind it.
-    pub(crate) fn user(&self) -> &[u8] {
-        self.user_id.split(|&b| b == 0).next().unwrap_or_default()
-    }
-
     /// Gives where it ends.
     pub(crate) fn end(&self) -> u64 {
         self.payload_at + self.n_bytes
@@ -146,8 +261,8 @@ pub(crate) fn walk_plain(
             return Err(fail(i, format!("its header at byte {at} runs into the points")));
         }
         file.read_exact_at(&mut head, at)?;
-        let (record_id, n_bytes) = (u16_at(&head, 18), u64::from(u16_at(&head, 20)));
-        let vlr = VlrPlace { user_id: take(&head, 2), record_id, at, payload_at, n_bytes };
+        let n_bytes = u64::from(u16_at(&head, 20));
+        let vlr = VlrPlace { name: VlrName::of(&head), at, payload_at, n_bytes };
         at = vlr.end();
         if at > header.points_offset {
             let end = header.points_offset;
@@ -179,12 +294,12 @@ pub(crate) fn walk_extended(
             return Err(fail(i, format!("it begins at byte {at}, the file has {end}")));
         }
         file.read_exact_at(&mut head, at)?;
-        let (record_id, n_bytes) = (u16_at(&head, 18), u64_at(&head, 20));
+        let n_bytes = u64_at(&head, 20);
         if payload_at.saturating_add(n_bytes) > end {
             let problem = format!("{n_bytes} bytes at {payload_at} run past the end ({end})");
             return Err(fail(i, problem));
         }
-        let vlr = VlrPlace { user_id: take(&head, 2), record_id, at, payload_at, n_bytes };
+        let vlr = VlrPlace { name: VlrName::of(&head), at, payload_at, n_bytes };
         at = vlr.end();
         visit(&vlr)?;
     }

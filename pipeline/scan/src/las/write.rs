@@ -11,7 +11,7 @@ use pvmap_store::{AtomicFile, ClosedFile, StoreError};
 
 use crate::error::ScanError;
 use crate::field::{self, FieldKind, ScalarField};
-use crate::source::Crs;
+use crate::source::{Crs, StoredBounds};
 
 /// The largest class of the formats before 6, which share its byte with flags.
 const MAX_LEGACY_CLASS: u8 = 31;
@@ -23,7 +23,7 @@ const MAX_RECORD_BYTES: usize = 36;
 const MAX_TEXT_BYTES: usize = 31;
 
 /// The longest payload of a plain record; longer ones stand behind the points.
-const MAX_VLR_BYTES: usize = 65_535;
+pub(super) const MAX_VLR_BYTES: usize = 65_535;
 
 /// Bytes of the header of LAS 1.4, and before the payload of a plain and of an extended record.
 const HEADER_BYTES: u64 = 375;
@@ -31,7 +31,7 @@ const VLR_HEADER_BYTES: u64 = 54;
 const EVLR_HEADER_BYTES: u64 = 60;
 
 /// Where the header has its bounds: max and min, an axis at a time.
-const BOUNDS_OFFSET: u64 = 179;
+pub(super) const BOUNDS_OFFSET: usize = 179;
 
 /// The `las` crate works through a batch three times; a few thousand records stay in the cache.
 const BLOCK_POINTS: usize = 4096;
@@ -265,7 +265,9 @@ impl LasWriter {
     /// # Errors
     /// Those of [`LasWriter::finish`].
     pub fn close(self) -> Result<ClosedFile, ScanError> {
-        let bounds = self.bounds();
+        let [min, max] = [self.min, self.max].map(|steps| steps.map(f64::from));
+        let LasOptions { scale, offset, .. } = self.options;
+        let bounds = bounds(StoredBounds { min, max }, scale, offset);
         let fail = |problem: String| write_error(&self.path, problem);
         let sink = self.writer.into_inner().map_err(|e| fail(e.to_string()))?;
         self.failure.check(&self.path)?;
@@ -273,22 +275,8 @@ impl LasWriter {
             .out
             .into_inner()
             .map_err(|e| StoreError::io(&self.path, "write", e.into_error()))?;
-        file.write_at(&bounds, BOUNDS_OFFSET)?;
+        file.write_at(&bounds, BOUNDS_OFFSET as u64)?;
         Ok(file.close()?)
-    }
-
-    /// Encodes the bounds of the points for the header. The crate's own may be a step too wide: it
-    /// goes through world units and rounds outward.
-    fn bounds(&self) -> Vec<u8> {
-        let LasOptions { scale, offset, .. } = self.options;
-        let is_empty = self.min[0] > self.max[0];
-        let world = |i: usize, step: i32| {
-            if is_empty { 0.0 } else { f64::from(step) * scale[i] + offset[i] }
-        };
-        (0..3)
-            .flat_map(|i| [world(i, self.max[i]), world(i, self.min[i])])
-            .flat_map(f64::to_le_bytes)
-            .collect()
     }
 
     /// Appends the record of point `i`.
@@ -371,6 +359,17 @@ fn transforms(options: &LasOptions) -> Vector<Transform> {
     let [x, y, z] =
         [0, 1, 2].map(|i| Transform { scale: options.scale[i], offset: options.offset[i] });
     Vector { x, y, z }
+}
+
+/// Encodes the bounds of points, in steps, for a header. The crate's own may be a step too wide: it
+/// goes through world units and rounds outward.
+pub(super) fn bounds(steps: StoredBounds, scale: [f64; 3], offset: [f64; 3]) -> Vec<u8> {
+    let is_empty = steps.min[0] > steps.max[0];
+    let world = |i: usize, step: f64| if is_empty { 0.0 } else { step * scale[i] + offset[i] };
+    (0..3)
+        .flat_map(|i| [world(i, steps.max[i]), world(i, steps.min[i])])
+        .flat_map(f64::to_le_bytes)
+        .collect()
 }
 
 fn write_error(path: &Path, problem: String) -> ScanError {

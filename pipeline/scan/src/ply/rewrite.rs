@@ -2,19 +2,21 @@
 //!
 //! Lines of the header, other elements and the rows of vertices are copied as bytes, lists too.
 
-use std::fmt::Write as _;
-use std::io::{BufWriter, Write};
-use std::path::PathBuf;
+use std::io::Write;
 
+use ply_rs::ply::DefaultElement;
+use ply_rs::writer::Writer;
 use pvmap_geometry::Positions;
-use pvmap_store::{AtomicFile, ClosedFile, InputFile, StoreError};
+use pvmap_store::{ClosedFile, InputFile, Watch};
 
 use super::header::Encoding;
 use super::rows::{ListedRows, TextRows};
+use super::write::property;
 use super::{PlyFile, Rows};
-use crate::bytes::{BLOCK_BYTES, copy};
+use crate::bytes::BLOCK_BYTES;
 use crate::error::ScanError;
 use crate::field::{self, FieldKind, ScalarField};
+use crate::out::{Out, refused};
 use crate::rewrite::RewriteOptions;
 use crate::source::SourceInfo;
 
@@ -28,9 +30,9 @@ pub(crate) struct PlyRewrite<'a> {
     ply: &'a PlyFile,
     file: &'a InputFile,
     rows: Rows<'a>,
-    out: BufWriter<AtomicFile>,
+    out: Out,
     fields: Vec<ScalarField>,
-    line_end: Vec<u8>,
+    line_end: &'static [u8],
     /// The vertex that comes next, and how many there are.
     next: u64,
     n_points: u64,
@@ -38,7 +40,6 @@ pub(crate) struct PlyRewrite<'a> {
     raw: Vec<u8>,
     ends: Vec<usize>,
     packed: Vec<u8>,
-    path: PathBuf,
 }
 
 impl<'a> PlyRewrite<'a> {
@@ -47,12 +48,9 @@ impl<'a> PlyRewrite<'a> {
         ply: &'a PlyFile,
         (info, file): (&SourceInfo, &'a InputFile),
         options: RewriteOptions<'_>,
+        watch: &dyn Watch,
     ) -> Result<PlyRewrite<'a>, ScanError> {
         let RewriteOptions { output, fields, software, .. } = options;
-        let path = output.path().to_path_buf();
-        if let Some(problem) = fields.iter().find_map(ScalarField::problem) {
-            return Err(ScanError::Write { path, problem });
-        }
         if info.n_missing > 0 {
             // Its header has the count, before anybody knows how many rows are whole.
             return Err(ScanError::Unsupported {
@@ -64,10 +62,10 @@ impl<'a> PlyRewrite<'a> {
         let mut head = vec![0; ply.header.body_offset as usize];
         file.read_exact_at(&mut head, 0)?;
         let line_end = line_end(&head, ply.header.newline);
-        let head = lengthened(&head, (ply.header.newline, &line_end), fields, software);
-        let mut out = BufWriter::with_capacity(1 << 20, output);
-        out.write_all(&head).map_err(|e| StoreError::io(&path, "write", e))?;
-        copy(file, ply.header.body_offset..ply.start.0, (&mut out, &path))?;
+        let head = lengthened(&head, (ply.header.newline, line_end), fields, software);
+        let mut out = Out::new(output);
+        out.put(&head)?;
+        out.copy_all("front", file, ply.header.body_offset..ply.start.0, watch)?;
         let rows = if ply.header.encoding == Encoding::Ascii {
             Rows::Text(TextRows::new(file, &ply.header, ply.start))
         } else if ply.is_seekable() {
@@ -87,7 +85,6 @@ impl<'a> PlyRewrite<'a> {
             raw: Vec::new(),
             ends: Vec::new(),
             packed: Vec::new(),
-            path,
         })
     }
 
@@ -145,7 +142,7 @@ impl<'a> PlyRewrite<'a> {
     /// Writes the vertices that were read last, each with its values: a column a field.
     pub(crate) fn write(&mut self, values: &[Vec<f64>]) -> Result<(), ScanError> {
         if let Some(problem) = field::mismatch(&self.fields, values, self.ends.len()) {
-            return Err(ScanError::Write { path: self.path.clone(), problem });
+            return Err(refused(self.out.path(), problem));
         }
         let mut row = Vec::new();
         let mut start = 0;
@@ -157,24 +154,22 @@ impl<'a> PlyRewrite<'a> {
                 put(field.kind, values[i], self.ply.header.encoding, &mut row);
             }
             if self.ply.header.encoding == Encoding::Ascii {
-                row.extend_from_slice(&self.line_end);
+                row.extend_from_slice(self.line_end);
             }
-            self.out.write_all(&row).map_err(|e| StoreError::io(&self.path, "write", e))?;
+            self.out.put(&row)?;
         }
         Ok(())
     }
 
     /// Writes all that stands behind the vertices.
-    pub(crate) fn close(mut self) -> Result<ClosedFile, ScanError> {
+    pub(crate) fn close(mut self, watch: &dyn Watch) -> Result<ClosedFile, ScanError> {
         let end = match &self.rows {
             Rows::Fixed => self.ply.start.0 + self.n_points * self.ply.layout.row_bytes as u64,
             Rows::Listed(rows) => rows.offset(),
             Rows::Text(rows) => rows.place().0,
         };
-        copy(self.file, end..self.file.len_bytes(), (&mut self.out, &self.path))?;
-        let fail = |e| StoreError::io(&self.path, "write", e);
-        let file = self.out.into_inner().map_err(|e| fail(e.into_error()))?;
-        Ok(file.close()?)
+        self.out.copy_all("rest", self.file, end..self.file.len_bytes(), watch)?;
+        self.out.close(&[])
     }
 }
 
@@ -196,9 +191,13 @@ impl PlyFile {
 }
 
 /// Gives what ends the lines of a header.
-fn line_end(head: &[u8], newline: u8) -> Vec<u8> {
-    let first = head.split_inclusive(|&b| b == newline).next().unwrap_or_default();
-    first[first.trim_ascii_end().len()..].to_vec()
+fn line_end(head: &[u8], newline: u8) -> &'static [u8] {
+    let first = head.split(|&b| b == newline).next().unwrap_or_default();
+    match newline {
+        b'\r' => b"\r",
+        _ if first.ends_with(b"\r") => b"\r\n",
+        _ => b"\n",
+    }
 }
 
 /// Adds lines to a header: who wrote the file and what the fields are behind its format, the
@@ -228,8 +227,7 @@ fn lengthened(
             described.for_each(|f| add(&mut out, format!("comment {}: {}", f.name, f.description)));
         }
         if is_vertex && matches!(word, b"element" | b"end_header") {
-            let property = |f: &ScalarField| format!("property {} {}", type_of(f.kind), f.name);
-            fields.iter().for_each(|f| add(&mut out, property(f)));
+            fields.iter().for_each(|f| add(&mut out, property_line(f)));
             is_vertex = false;
         }
         is_vertex |= word == b"element" && words.next() == Some(b"vertex");
@@ -241,14 +239,13 @@ fn lengthened(
     out
 }
 
-fn type_of(kind: FieldKind) -> &'static str {
-    match kind {
-        FieldKind::U8 => "uchar",
-        FieldKind::I8 => "char",
-        FieldKind::U32 => "uint",
-        FieldKind::F32 => "float",
-        FieldKind::F64 => "double",
-    }
+/// Gives the line of a header that a field has, without its end.
+fn property_line(field: &ScalarField) -> String {
+    let mut line = Vec::new();
+    let writer = Writer::<DefaultElement>::new();
+    // Into memory, where nothing fails.
+    let _ = writer.write_line_property_definition(&mut line, &property(field));
+    String::from_utf8_lossy(line.trim_ascii_end()).into_owned()
 }
 
 /// Appends a value as the file has its numbers.
@@ -261,16 +258,14 @@ fn put(kind: FieldKind, value: f64, encoding: Encoding, row: &mut Vec<u8>) {
             row[at..].reverse();
         }
         Encoding::Ascii => {
-            let mut text = String::new();
             // Into memory, where nothing fails. `as` keeps the ends, as it does in bytes.
             let _ = match kind {
-                FieldKind::U8 => write!(text, " {}", value as u8),
-                FieldKind::I8 => write!(text, " {}", value as i8),
-                FieldKind::U32 => write!(text, " {}", value as u32),
-                FieldKind::F32 => write!(text, " {}", value as f32),
-                FieldKind::F64 => write!(text, " {value}"),
+                FieldKind::U8 => write!(row, " {}", value as u8),
+                FieldKind::I8 => write!(row, " {}", value as i8),
+                FieldKind::U32 => write!(row, " {}", value as u32),
+                FieldKind::F32 => write!(row, " {}", value as f32),
+                FieldKind::F64 => write!(row, " {value}"),
             };
-            row.extend_from_slice(text.as_bytes());
         }
     }
 }

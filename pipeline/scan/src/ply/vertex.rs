@@ -68,7 +68,10 @@ impl VertexLayout {
         let gps_time = find(&["gps_time", "gpstime", "scalar_gpstime", "scalar_gps_time"]);
         let mut normal = [None; 3];
         for (i, p) in vertex.properties.iter().enumerate() {
-            if let (Some(axis), Some(field)) = (normal_axis(p.name.as_bytes()), fields[i]) {
+            // The first of an axis: an export puts the normals of a map behind those of the scan.
+            if let (Some(axis), Some(field)) = (normal_axis(p.name.as_bytes()), fields[i])
+                && normal[axis].is_none()
+            {
                 normal[axis] = Some(field);
                 wanted[i] = Some(field.at);
             }

@@ -109,7 +109,7 @@ impl PlyWriter {
             + if columns.intensity { 4 } else { 0 }
             + usize::from(columns.classification)
             + if columns.gps_time { 8 } else { 0 }
-            + extras.fields.iter().map(|f| f.kind.n_bytes()).sum::<usize>();
+            + field::n_bytes(&extras.fields);
         n_points.saturating_mul(row_bytes as u64).saturating_add(head.len() as u64)
     }
 
@@ -238,16 +238,7 @@ fn header(n_points: usize, columns: PlyColumns, extras: &PlyExtras) -> Header {
     if columns.gps_time {
         add(&["gps_time"], ScalarType::Double);
     }
-    for field in fields {
-        let kind = match field.kind {
-            FieldKind::U8 => ScalarType::UChar,
-            FieldKind::I8 => ScalarType::Char,
-            FieldKind::U32 => ScalarType::UInt,
-            FieldKind::F32 => ScalarType::Float,
-            FieldKind::F64 => ScalarType::Double,
-        };
-        add(&[&field.name], kind);
-    }
+    fields.iter().for_each(|field| vertex.properties.add(property(field)));
     let mut header = Header::new();
     header.comments.extend(extras.comments.iter().cloned());
     let described = fields.iter().filter(|f| !f.description.is_empty());
@@ -255,4 +246,16 @@ fn header(n_points: usize, columns: PlyColumns, extras: &PlyExtras) -> Header {
     header.encoding = Encoding::BinaryLittleEndian;
     header.elements.add(vertex);
     header
+}
+
+/// Describes the property that a field is in.
+pub(super) fn property(field: &ScalarField) -> PropertyDef {
+    let kind = match field.kind {
+        FieldKind::U8 => ScalarType::UChar,
+        FieldKind::I8 => ScalarType::Char,
+        FieldKind::U32 => ScalarType::UInt,
+        FieldKind::F32 => ScalarType::Float,
+        FieldKind::F64 => ScalarType::Double,
+    };
+    PropertyDef::new(field.name.clone(), PropertyType::Scalar(kind))
 }
