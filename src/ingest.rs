@@ -10,15 +10,19 @@ use pvmap_octree::ingest::{
     Account, ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation,
     PositionPlan, SourcePlan, Turns,
 };
+use pvmap_query::quality::{NormalQuality, measure};
 use pvmap_scan::{
     ColorRange, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, ScanError, Source,
     StoredBounds,
 };
 use pvmap_store::{InputFile, StoreError, Watch};
+use pvmap_vmap::OctreeView;
 use pvmap_vmap::frame::CrsKind;
 use pvmap_vmap::schema::ColumnType;
 use rayon::prelude::*;
 
+use crate::build::open_octree;
+use crate::told::contradiction;
 use crate::{Error, Limits};
 
 /// Points of a batch: large enough to amortise a call, small enough for 64 MiB.
@@ -27,6 +31,9 @@ const BATCH_LEN: usize = 16_384;
 const PARTS_A_THREAD: u64 = 16;
 /// Points of a source that choose the buckets: a hundred and more a bucket.
 const SAMPLE_POINTS: u64 = 1 << 15;
+/// Points at which normals of the file are compared with the points around them: enough to tell
+/// on which side of 45° their median is, and a few milliseconds.
+const QUALITY_POINTS: u64 = 512;
 
 /// Which scans to take in, and how.
 #[derive(Debug, Clone)]
@@ -66,6 +73,9 @@ pub struct Ingested {
     pub report: IngestReport,
     /// What became of the records, a source each.
     pub reads: Vec<ReadReport>,
+    /// What a sample of points says of the normals of the file, where there are any: they are
+    /// taken as they are, but where they contradict the points a warning says so.
+    pub normals: Option<NormalQuality>,
 }
 
 /// Streams scan files into a sorted octree.
@@ -120,7 +130,22 @@ fn run(request: &IngestRequest, limits: &Limits, watch: &dyn Watch) -> Result<In
     if report.summary.n_normals_estimated == 0 && request.orientation != Orientation::Unknown {
         watch.warn("--sensor and --up had no effect: no normal was estimated");
     }
-    Ok(Ingested { report, reads })
+    let normals = if report.summary.n_normals_file > 0 { look(request, watch)? } else { None };
+    Ok(Ingested { report, reads, normals })
+}
+
+/// Compares normals of the file with the points around them, at a sample.
+fn look(request: &IngestRequest, watch: &dyn Watch) -> Result<Option<NormalQuality>, Error> {
+    let path = &request.output;
+    let mapped = open_octree(path)?;
+    let octree = OctreeView::open(&mapped).map_err(|e| Error::artifact(path, e))?;
+    // The octree is there: a wish to stop comes too late.
+    let quality = measure(&octree, QUALITY_POINTS, &|_| true);
+    let quality = quality.map_err(|e| Error::of_octree(path, e))?;
+    if let Some(warning) = contradiction(path, &quality) {
+        watch.warn(&warning);
+    }
+    Ok(quality.normals.median_deg.map(|_| quality.normals))
 }
 
 /// Finds a source that declares points, and their number, where a lenient ingest got none at all.

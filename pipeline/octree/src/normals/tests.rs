@@ -1,9 +1,9 @@
 //! Estimation against an O(n²) oracle: same neighbours, same normals, for any memory and threads.
 
-use super::plane::Moments;
 use super::*;
 use pvmap_geometry::morton;
 use pvmap_geometry::normal::canonical_binned;
+use pvmap_geometry::plane::Moments;
 use pvmap_store::Quiet;
 
 /// A cloud in memory, sorted by Morton code.
