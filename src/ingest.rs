@@ -344,16 +344,41 @@ fn report_oddities(sources: &[Source], reads: &[ReadReport], watch: &dyn Watch) 
         if read.n_missing > 0 {
             watch.warn(&format!("{name}: {} declared points are not in the file", read.n_missing));
         }
-        if read.n_outside_bounds > 0 {
-            watch.warn(&format!(
-                "{name}: {} points lie outside the bounds of its header; the true bounds are used",
-                read.n_outside_bounds
-            ));
-        }
+        report_bounds(source, read, watch);
     }
     if reads.iter().all(|r| r.n_read == 0) {
         watch.warn("there are no points; the octree is empty");
     }
+}
+
+/// Tells where a header's bounds are not those of its points: the true ones are used.
+fn report_bounds(source: &Source, read: &ReadReport, watch: &dyn Watch) {
+    let info = source.info();
+    let PositionKind::Lattice { scale, offset } = info.kind else { return };
+    let Some(found) = read.true_bounds else { return };
+    let name = info.path.display();
+    let text = |(min, max): ([i64; 3], [i64; 3])| {
+        let world = |i: usize, v: i64| twelve_digits(v as f64 * scale[i] + offset[i]);
+        let axis = |i: usize| format!("{} to {}", world(i, min[i]), world(i, max[i]));
+        format!("x {}, y {}, z {}", axis(0), axis(1), axis(2))
+    };
+    match info.bounds {
+        None => watch.warn(&format!("{name}: its true bounds are {}", text(found))),
+        Some(declared) if read.n_outside_bounds > 0 => watch.warn(&format!(
+            "{name}: {} points lie outside the bounds of its header, {}; the true bounds are used, \
+             {}",
+            read.n_outside_bounds,
+            text(declared),
+            text(found)
+        )),
+        Some(_) => {}
+    }
+}
+
+/// Gives a coordinate without the digits that scale times steps has beyond it.
+fn twelve_digits(v: f64) -> f64 {
+    // What was written in digits is a number.
+    format!("{v:.11e}").parse().unwrap_or(v)
 }
 
 /// Gives the octree a single input makes when no name is given: `dir/grotto.las` → `grotto.octree`.

@@ -160,7 +160,7 @@ fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io
     if let Some((normals, median)) = done.normals.as_ref().and_then(|n| Some((n, n.median_deg?))) {
         writeln!(
             out,
-            "  angles    {median:.1}° to the planes of their neighbours (median of {} of the file's)",
+            "  angles    {median:.1}° to planes of their neighbours (median of {} of the file's)",
             normals.n_angles()
         )?;
     }
