@@ -130,7 +130,7 @@ fn noise_that_was_planted_is_the_thickness() {
     for sigma in [10.0, 100.0, 300.0] {
         let mut cloud = floor(100, 1000);
         for key in &mut cloud {
-            // Off the grid within the floor: else its equally near points would be the flatter ones.
+            // Off the grid within the floor: else the flatter of equally near points count.
             key.g = [key.g[0] + rng.u32(..800), key.g[1] + rng.u32(..800), key.g[2]];
             key.g[2] = (f64::from(key.g[2]) + sigma * noise(&mut rng)).round() as u32;
         }
