@@ -109,7 +109,9 @@ pub struct Tally {
     pub n_far: u64,
     /// Pairs that face each other.
     pub n_facing: u64,
-    /// Pairs it says see each other, and they do not.
+    /// Pairs it says see each other.
+    pub n_said_visible: u64,
+    /// Those of them that do not.
     pub n_false_visible: u64,
     /// Pairs it says do not see each other, and they do.
     pub n_false_invisible: u64,
@@ -138,6 +140,7 @@ impl Tally {
         self.n_pairs += 1;
         self.n_far += u64::from(is_far);
         self.n_facing += u64::from(verdict.faces);
+        self.n_said_visible += u64::from(visible);
         self.n_false_visible += u64::from(visible && !verdict.sees);
         self.n_false_invisible += u64::from(verdict.sees && !visible);
         self.n_wrong_facing += u64::from(verdict.faces && verdict.sees != visible);
@@ -243,14 +246,23 @@ impl<'a> ScanPoints<'a> {
         Ok(ScanPoints { view, path, placement })
     }
 
-    /// Draws a point. The truth is asked at the nearest place of its surfaces whose front is
-    /// within 60° of the point's normal (any front where its side is unknown).
+    /// Draws a point, see [`ScanPoints::at`].
     ///
     /// # Errors
     /// Where the octree is damaged.
     pub fn draw(&self, truth: &Scene, rng: &mut Rng) -> Result<Drawn, Error> {
+        self.at(truth, rng.u64(..self.view.summary().n_points))
+    }
+
+    /// Gives a point by its place in the order of the octree. The truth is asked at the nearest
+    /// place of its surfaces whose front is within 60° of the point's normal (any front where its
+    /// side is unknown).
+    ///
+    /// # Errors
+    /// Where the octree is damaged or has no such point.
+    pub fn at(&self, truth: &Scene, index: u64) -> Result<Drawn, Error> {
         let named = |e: FormatError| Error::artifact(self.path, e);
-        let points = self.view.points(rng.u64(..self.view.summary().n_points), 1).map_err(named)?;
+        let points = self.view.points(index, 1).map_err(named)?;
         let point = points.iter().next().expect("one was asked for").map_err(named)?;
         let no_source = || Error::Data(format!("{}: a point of no source", self.path.display()));
         let position = self.placement.world(point.record).ok_or_else(no_source)?;
@@ -329,6 +341,8 @@ mod tests {
         assert!(n_visible > 500 && n_visible < found.n_facing && found.n_facing < 4000);
         let counts = found.tallies.iter().map(|t| (t.n_false_visible, t.n_false_invisible));
         assert_eq!(counts.collect::<Vec<_>>(), [(wrong[0], 0), (wrong[1], wrong[2])]);
+        let said = found.tallies.iter().map(|t| t.n_said_visible);
+        assert_eq!(said.collect::<Vec<_>>(), [5000, 5000 / 3]);
         assert_eq!(found.tallies[0].n_agreeing(), n_visible);
         assert_eq!(found.tallies[0].n_agreeing_facing(), n_visible);
     }

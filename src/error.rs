@@ -73,6 +73,14 @@ impl Error {
         }
     }
 
+    /// Says which octree a question failed at, where the octree is to blame.
+    pub fn of_octree(path: &Path, e: QueryError) -> Error {
+        match e {
+            QueryError::Octree(e) => Error::artifact(path, e),
+            e => Error::of_query(path, e),
+        }
+    }
+
     /// Gives the exit code, as sysexits has them. Source: DESIGN.md §8.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -10,15 +10,19 @@ use pvmap_octree::ingest::{
     Account, ColorPlan, Ingest, IngestOptions, IngestReport, NormalsFrom, Orientation,
     PositionPlan, SourcePlan, Turns,
 };
+use pvmap_query::quality::{NormalQuality, measure};
 use pvmap_scan::{
     ColorRange, Crs, IntensityKind, PositionKind, ReadOptions, ReadReport, ScanError, Source,
     StoredBounds,
 };
 use pvmap_store::{InputFile, StoreError, Watch};
+use pvmap_vmap::OctreeView;
 use pvmap_vmap::frame::CrsKind;
 use pvmap_vmap::schema::ColumnType;
 use rayon::prelude::*;
 
+use crate::build::open_octree;
+use crate::told::contradiction;
 use crate::{Error, Limits};
 
 /// Points of a batch: large enough to amortise a call, small enough for 64 MiB.
@@ -27,6 +31,9 @@ const BATCH_LEN: usize = 16_384;
 const PARTS_A_THREAD: u64 = 16;
 /// Points of a source that choose the buckets: a hundred and more a bucket.
 const SAMPLE_POINTS: u64 = 1 << 15;
+/// Points at which normals of the file are compared with the points around them: enough to tell
+/// on which side of 45° their median is, and a few milliseconds.
+const QUALITY_POINTS: u64 = 512;
 
 /// Which scans to take in, and how.
 #[derive(Debug, Clone)]
@@ -66,6 +73,9 @@ pub struct Ingested {
     pub report: IngestReport,
     /// What became of the records, a source each.
     pub reads: Vec<ReadReport>,
+    /// What a sample of points says of the normals of the file, where there are any: they are
+    /// taken as they are, but where they contradict the points a warning says so.
+    pub normals: Option<NormalQuality>,
 }
 
 /// Streams scan files into a sorted octree.
@@ -120,7 +130,22 @@ fn run(request: &IngestRequest, limits: &Limits, watch: &dyn Watch) -> Result<In
     if report.summary.n_normals_estimated == 0 && request.orientation != Orientation::Unknown {
         watch.warn("--sensor and --up had no effect: no normal was estimated");
     }
-    Ok(Ingested { report, reads })
+    let normals = if report.summary.n_normals_file > 0 { look(request, watch)? } else { None };
+    Ok(Ingested { report, reads, normals })
+}
+
+/// Compares normals of the file with the points around them, at a sample.
+fn look(request: &IngestRequest, watch: &dyn Watch) -> Result<Option<NormalQuality>, Error> {
+    let path = &request.output;
+    let mapped = open_octree(path)?;
+    let octree = OctreeView::open(&mapped).map_err(|e| Error::artifact(path, e))?;
+    // The octree is there: a wish to stop comes too late.
+    let quality = measure(&octree, QUALITY_POINTS, &|_| true);
+    let quality = quality.map_err(|e| Error::of_octree(path, e))?;
+    if let Some(warning) = contradiction(path, &quality) {
+        watch.warn(&warning);
+    }
+    Ok(quality.normals.median_deg.map(|_| quality.normals))
 }
 
 /// Finds a source that declares points, and their number, where a lenient ingest got none at all.
@@ -319,16 +344,41 @@ fn report_oddities(sources: &[Source], reads: &[ReadReport], watch: &dyn Watch) 
         if read.n_missing > 0 {
             watch.warn(&format!("{name}: {} declared points are not in the file", read.n_missing));
         }
-        if read.n_outside_bounds > 0 {
-            watch.warn(&format!(
-                "{name}: {} points lie outside the bounds of its header; the true bounds are used",
-                read.n_outside_bounds
-            ));
-        }
+        report_bounds(source, read, watch);
     }
     if reads.iter().all(|r| r.n_read == 0) {
         watch.warn("there are no points; the octree is empty");
     }
+}
+
+/// Tells where a header's bounds are not those of its points: the true ones are used.
+fn report_bounds(source: &Source, read: &ReadReport, watch: &dyn Watch) {
+    let info = source.info();
+    let PositionKind::Lattice { scale, offset } = info.kind else { return };
+    let Some(found) = read.true_bounds else { return };
+    let name = info.path.display();
+    let text = |(min, max): ([i64; 3], [i64; 3])| {
+        let world = |i: usize, v: i64| twelve_digits(v as f64 * scale[i] + offset[i]);
+        let axis = |i: usize| format!("{} to {}", world(i, min[i]), world(i, max[i]));
+        format!("x {}, y {}, z {}", axis(0), axis(1), axis(2))
+    };
+    match info.bounds {
+        None => watch.warn(&format!("{name}: its true bounds are {}", text(found))),
+        Some(declared) if read.n_outside_bounds > 0 => watch.warn(&format!(
+            "{name}: {} points lie outside the bounds of its header, {}; the true bounds are used, \
+             {}",
+            read.n_outside_bounds,
+            text(declared),
+            text(found)
+        )),
+        Some(_) => {}
+    }
+}
+
+/// Gives a coordinate without the digits that scale times steps has beyond it.
+fn twelve_digits(v: f64) -> f64 {
+    // What was written in digits is a number.
+    format!("{v:.11e}").parse().unwrap_or(v)
 }
 
 /// Gives the octree a single input makes when no name is given: `dir/grotto.las` → `grotto.octree`.

@@ -1,7 +1,11 @@
 //! Questions that take their time, told while they are answered.
 
+use std::path::Path;
+
+use pvmap_query::quality::{Quality, measure};
 use pvmap_query::{Map, QueryError, VisibleSet};
 use pvmap_store::Watch;
+use pvmap_vmap::OctreeView;
 
 /// Counts for every surfel the others that it sees, as [`Map::sees_counts`] does.
 ///
@@ -29,4 +33,27 @@ pub fn visible_from_air(
         watch.advance(n);
         !watch.is_stopped()
     })
+}
+
+/// Says what the points of an octree are like, at a sample of `n`, as [`measure`] does.
+///
+/// # Errors
+/// Where the octree is damaged or the run was asked to stop.
+pub fn quality(octree: &OctreeView<'_>, n: u64, watch: &dyn Watch) -> Result<Quality, QueryError> {
+    watch.stage("quality", Some(n.min(octree.summary().n_points)), "points");
+    measure(octree, n, &|n| {
+        watch.advance(n);
+        !watch.is_stopped()
+    })
+}
+
+/// Says in a line that the normals of the file are not those of the points, where that is so.
+pub fn contradiction(octree: &Path, quality: &Quality) -> Option<String> {
+    let normals = &quality.normals;
+    let median = normals.median_deg.filter(|_| normals.contradict_points())?;
+    Some(format!(
+        "{}: the normals of the scan contradict its points: half of them are {median:.0}° and more \
+         from upright on the plane of their neighbours; ingest again with --normals estimate",
+        octree.display()
+    ))
 }

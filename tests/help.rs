@@ -83,6 +83,7 @@ fn info_is_as_it_was() {
     for (name, line) in [
         ("info_octree", "info room.octree"),
         ("info_octree_json", "info room.octree --json"),
+        ("info_quality", "info room.octree --quality"),
         ("info_map", "info room.vmap"),
         ("info_map_json", "info room.vmap --json"),
         ("info_preview", "info preview.vmap"),

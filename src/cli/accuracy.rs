@@ -35,6 +35,7 @@ Output, with 95 % intervals (Wilson); shares of all pairs, then of those that we
   agree, facing        the same, of the pairs that face each other
   wrongly visible      the map says yes, the triangles no
   wrongly invisible    the map says no, the triangles yes
+  visible, wrong       of the pairs that the map says see each other those that do not
   refused              pairs without an answer: a place is outside the cube
   far                  pairs that leaves answered although a place is so far from its surfel that
                        pvmap query MAP pair would ask for --snap
@@ -135,11 +136,12 @@ fn named(path: &std::path::Path, e: Error) -> Error {
 /// A count of a way's answers, and of how many it is a part.
 type Row = (&'static str, fn(&Tally) -> [u64; 2]);
 
-const ROWS: [Row; 4] = [
+const ROWS: [Row; 5] = [
     ("agree", |t| [t.n_agreeing(), t.n_pairs]),
     ("agree, facing", |t| [t.n_agreeing_facing(), t.n_facing]),
     ("wrongly visible", |t| [t.n_false_visible, t.n_pairs]),
     ("wrongly invisible", |t| [t.n_false_invisible, t.n_pairs]),
+    ("visible, wrong", |t| [t.n_false_visible, t.n_said_visible]),
 ];
 
 /// Writes a share with its 95 % interval.

@@ -157,6 +157,13 @@ fn print(request: &IngestRequest, done: &Ingested, context: &Context) -> std::io
         s.n_points - s.n_normals_file - s.n_normals_estimated,
         s.n_oriented
     )?;
+    if let Some((normals, median)) = done.normals.as_ref().and_then(|n| Some((n, n.median_deg?))) {
+        writeln!(
+            out,
+            "  angles    {median:.1}° to planes of their neighbours (median of {} of the file's)",
+            normals.n_angles()
+        )?;
+    }
     writeln!(
         out,
         "  disk      {} and {} temporary{}",

@@ -149,7 +149,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Build(args) => build::run(&args, context),
         Command::Query(args) => query::run(&args, context),
         Command::Render(args) => render::run(&args, context),
-        Command::Info(args) => info::run(&args),
+        Command::Info(args) => info::run(&args, context),
         Command::Verify(args) => verify::run(&args, context),
         Command::Export(args) => export::run(&args, context),
         Command::Scene(args) => scene::run(&args, context),

@@ -1,6 +1,6 @@
 //! A map by its definitions, slow and obvious: [V-1]…[V-5] word by word on the surfels and nodes
 //! of a file. Nothing here comes from the rooms that make maps.
-#![allow(unreachable_pub, reason = "a part of a test")]
+#![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 
 use std::collections::BTreeSet;
 

@@ -8,10 +8,10 @@
 //! surfel sees. [`Map::region`] weighs the points around two places against each
 //! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
 //! place; [`exact::Exact`] asks the points of the octree whether two of them see each other
-//! ([V-7]). The room opens no file and prints nothing; it reads only the blocks a question needs,
-//! trusts no byte of them, and a [`Map`] may be asked from many threads at once. Decoded links are
-//! kept in a cache of fixed size (`frames`), so a batch of any length takes bounded memory; who
-//! asks a great deal calls [`Map::keep`] first.
+//! ([V-7]); [`quality::measure`] says what those points are like. The room opens no file and prints
+//! nothing; it reads only the blocks a question needs, trusts no byte of them, and a [`Map`] may be
+//! asked from many threads at once. Decoded links are kept in a cache of fixed size (`frames`), so
+//! a batch of any length takes bounded memory; who asks a great deal calls [`Map::keep`] first.
 //!
 //! Start reading at [`Map`], then [`Map::locate`] and [`Map::pair`].
 
@@ -28,6 +28,7 @@ mod locate;
 mod map;
 mod pair;
 mod part;
+pub mod quality;
 mod ray;
 mod region;
 mod sees_counts;

@@ -199,6 +199,8 @@ pub struct ReadReport {
     pub n_missing: u64,
     /// Points outside the header's bounds, where there are any ([`SourceInfo::bounds`]).
     pub n_outside_bounds: u64,
+    /// True bounds of the points of a LAS, lattice steps, both ends included.
+    pub true_bounds: Option<([i64; 3], [i64; 3])>,
     /// Points whose normal is zero or not finite, in a file with normals.
     pub n_normals_missing: u64,
     /// The largest red, green or blue.
@@ -214,6 +216,13 @@ impl ReadReport {
             first_dropped: [self.first_dropped, other.first_dropped].into_iter().flatten().min(),
             n_missing: self.n_missing + other.n_missing,
             n_outside_bounds: self.n_outside_bounds + other.n_outside_bounds,
+            true_bounds: match (self.true_bounds, other.true_bounds) {
+                (Some(a), Some(b)) => Some((
+                    [0, 1, 2].map(|i| a.0[i].min(b.0[i])),
+                    [0, 1, 2].map(|i| a.1[i].max(b.1[i])),
+                )),
+                (a, b) => a.or(b),
+            },
             n_normals_missing: self.n_normals_missing + other.n_normals_missing,
             color_max: self.color_max.max(other.color_max),
         }
@@ -465,12 +474,15 @@ impl Source {
             let is_missing = |n: &&[f32; 3]| !pvmap_geometry::normal::is_direction(**n);
             report.n_normals_missing += normals.iter().filter(is_missing).count() as u64;
         }
-        if let (Some((min, max)), Positions::Lattice(places)) = (self.info.bounds, &batch.positions)
-        {
+        let Positions::Lattice(places) = &batch.positions else { return };
+        let all = batch.positions.bounds();
+        // Steps are whole numbers that a float holds.
+        let true_bounds = all.map(|(min, max)| (min.map(|v| v as i64), max.map(|v| v as i64)));
+        *report = report.join(&ReadReport { true_bounds, ..ReadReport::default() });
+        if let Some((min, max)) = self.info.bounds {
             // Bounds outside i32 hold nothing back on that side.
             let fit = |v: i64| v.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32;
             let (min, max) = (min.map(fit), max.map(fit));
-            let all = batch.positions.bounds();
             let is_within = |(low, high): ([f64; 3], [f64; 3])| {
                 (0..3).all(|i| low[i] >= f64::from(min[i]) && high[i] <= f64::from(max[i]))
             };

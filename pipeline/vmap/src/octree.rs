@@ -375,6 +375,8 @@ pub struct Points<'a> {
 pub struct Point<'a> {
     /// What routes it.
     pub key: RoutingKey,
+    /// Whether its normal came from its source.
+    pub normal_from_source: bool,
     /// Its record, laid out by the schema.
     pub record: &'a [u8],
 }
@@ -396,7 +398,7 @@ impl<'a> Points<'a> {
                     .ok_or_else(|| broken(&view.normals, NORMAL_BYTES, "an impossible normal"))?,
             };
             let key = RoutingKey { g, normal: normal.normal, oriented: normal.oriented };
-            Ok(Point { key, record })
+            Ok(Point { key, normal_from_source: normal.from_source, record })
         })
     }
 }

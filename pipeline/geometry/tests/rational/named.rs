@@ -199,6 +199,45 @@ fn n_met(a: [i32; 3], b: [i32; 3], corner: [i32; 3], step: i32) -> usize {
     cells_around(corner, step).filter(met).count()
 }
 
+/// Collects the cells of level 8 that a segment of the cube meets, by halving from the root down: a
+/// cell that is not met has no part that is.
+fn cells_met(meets: &dyn Fn(&Box3) -> bool, cell: Box3, met: &mut Vec<[i32; 3]>) {
+    let side = cell.max[0] - cell.min[0];
+    if !meets(&cell) {
+        return;
+    }
+    if side == SIDE / 256 {
+        met.push(cell.min.map(|v| v / side));
+        return;
+    }
+    let half = side / 2;
+    for octant in 0..8 {
+        let min = [0, 1, 2].map(|axis| cell.min[axis] + half * (octant >> axis & 1));
+        cells_met(meets, Box3 { min, max: min.map(|v| v + half) }, met);
+    }
+}
+
+#[test]
+fn n56_random_segments_meet_the_cells_that_fractions_say() {
+    // The row counts what a walk by floats misses. Cells are met or not by integers, and nobody
+    // walks: the set of 256³ cells is that of fractions, from either end.
+    let mut rng = Rng::with_seed(56);
+    let root = Box3 { min: [0; 3], max: [SIDE; 3] };
+    let mut n_met = 0;
+    for _ in 0..cases(400) {
+        let [a, b] = [0; 2].map(|_| random_place(&mut rng));
+        let d = minus(&vector(b), &vector(a));
+        let exact = |cell: &Box3| clip(&vector(a), &d, &vector(cell.min), &vector(cell.max));
+        let [mut expected, mut there, mut back] = [const { Vec::new() }; 3];
+        cells_met(&exact, root, &mut expected);
+        cells_met(&|cell| segment_meets(a, b, cell), root, &mut there);
+        cells_met(&|cell| segment_meets(b, a, cell), root, &mut back);
+        assert!(there == expected && back == expected, "{a:?} {b:?}");
+        n_met += expected.len();
+    }
+    assert!(n_met > 100 * cases(400), "{n_met}");
+}
+
 #[test]
 fn n57_a_diagonal_meets_all_cells_that_it_touches() {
     let corner = [1 << 21; 3];
@@ -255,6 +294,23 @@ fn n61_a_step_aside_over_the_whole_cube_counts() {
 }
 
 #[test]
+fn n62_an_end_on_a_boundary_meets_the_cells_on_both_sides() {
+    let corner = [1 << 20, 5 << 12, 7 << 13];
+    let [x, y, z] = corner;
+    let step = 1 << 12;
+    // On a corner of eight cells, an edge of four and a face of two, whichever way it leads.
+    for sign in [-1, 1] {
+        let toward = |d: [i32; 3]| [0, 1, 2].map(|i| corner[i] + sign * d[i]);
+        assert_eq!(n_met(corner, toward([900, 500, 100]), corner, step), 8);
+        assert_eq!(n_met([x, y, z + 9], toward([-900, -500, 9 * sign]), corner, step), 4);
+        let near = [x, y + 50, z + 9];
+        assert_eq!(n_met(near, [x - sign * 700, y + 60, z + 11], corner, step), 2);
+    }
+    // A segment of one place, too.
+    assert_eq!(n_met(corner, corner, corner, step), 8);
+}
+
+#[test]
 fn n65_no_float_decides_whether_a_box_is_met() {
     // The row is about slab tests in floats. A box is met or not by integers; that no float may
     // miss one is what random segments and boxes show, most of which hang on a step.
@@ -299,6 +355,76 @@ fn n47_cube_symmetries_change_no_verdict() {
             }
         }
     }
+}
+
+/// Turns a vector by a random rotation: three angles about the axes.
+fn turned_by(angles: [f64; 3], v: [f64; 3]) -> [f64; 3] {
+    let mut v = v;
+    for (axis, angle) in angles.into_iter().enumerate() {
+        let (sin, cos) = angle.sin_cos();
+        let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
+        (v[i], v[j]) = (v[i] * cos - v[j] * sin, v[i] * sin + v[j] * cos);
+    }
+    v
+}
+
+/// How far a verdict on three discs is from another, at the least: grid steps from the crossing to
+/// the ends, to the planes of facing and to the rim, less what rounding on the grid may move them.
+fn margin(a: &Disc, b: &Disc, k: &Disc) -> f64 {
+    let real = |v: [i32; 3]| v.map(f64::from);
+    let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
+    let (ca, cb, ck) = (real(a.centroid), real(b.centroid), real(k.centroid));
+    let d = [0, 1, 2].map(|i| cb[i] - ca[i]);
+    let n = k.normal.map(|v| f64::from(v) / 16384.0);
+    let (s, h) = (dot(n, d), dot(n, [0, 1, 2].map(|i| ck[i] - ca[i])));
+    let length = dot(d, d).sqrt();
+    let slope = (s / length).abs();
+    let t = h / s;
+    let x = [0, 1, 2].map(|i| ca[i] + t * d[i]);
+    let off = [0, 1, 2].map(|i| x[i] - ck[i]);
+    let ends = (t.min(1.0 - t) * length).abs();
+    let rim = (dot(off, off).sqrt() - (k.radius2 as f64).sqrt()).abs();
+    // A place moves by a step, a normal by 2^-14: over the distance to the disc that moves the
+    // crossing along the segment, the more the flatter it is.
+    let far = dot(off, off).sqrt().max(length);
+    let moved = (3.0 + 4.0 * far / 16384.0) / slope;
+    let ok = ends.min(rim) - moved;
+    if ok.is_nan() { f64::NEG_INFINITY } else { ok }
+}
+
+#[test]
+fn n47_rotations_change_a_verdict_only_within_a_step_of_the_grid() {
+    let mut rng = Rng::with_seed(470);
+    let (mut n_clear, mut n_blocked) = (0, 0);
+    let n = cases(100_000);
+    for _ in 0..n {
+        // Within the ball that the cube holds, so that no rotation leads out.
+        let mut place = || [0; 3].map(|_| SIDE / 2 + rng.i32(-SIDE / 4..SIDE / 4));
+        let (a, b) = (end(place()), end(place()));
+        let n: [f64; 3] = [0; 3].map(|_| rng.f64() - 0.5);
+        let middle = [0, 1, 2].map(|i| i32::midpoint(a.centroid[i], b.centroid[i]));
+        let aside = middle.map(|v| v + rng.i32(-SIDE / 16..SIDE / 16));
+        let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let unit = |n: [f64; 3]| n.map(|v| (v / length * 16384.0).round() as i16);
+        let k = disc(aside, unit(n), rng.u64(1..1 << 18));
+        if margin(&a, &b, &k) <= 0.0 {
+            continue;
+        }
+        n_clear += 1;
+        let expected = is_blocked(&a, &b, &k);
+        n_blocked += u32::from(expected);
+        let angles = [0; 3].map(|_| rng.f64() * 6.3);
+        let half = f64::from(SIDE / 2);
+        let turn = |disc: &Disc| {
+            let off = disc.centroid.map(|v| f64::from(v) - half);
+            let centroid = turned_by(angles, off).map(|v| (v + half).round() as i32);
+            Disc { centroid, limit: ANYWHERE, ..*disc }
+        };
+        let (a, b, k) =
+            (turn(&a), turn(&b), Disc { normal: unit(turned_by(angles, n)), ..turn(&k) });
+        assert_eq!(is_blocked(&a, &b, &k), expected, "{a:?} {b:?} {k:?}");
+    }
+    assert!(n_clear > n / 2 && n_blocked > 1000.min(n as u32 / 20), "{n_clear} {n_blocked} of {n}");
 }
 
 #[test]

@@ -17,7 +17,6 @@ mod blocks;
 mod boxes;
 mod budget;
 mod neighbours;
-mod plane;
 mod search;
 #[cfg(test)]
 mod tests;

@@ -2,9 +2,9 @@
 
 use pvmap_geometry::GridPoint;
 use pvmap_geometry::normal::Normal;
+use pvmap_geometry::plane::Moments;
 
 use super::K;
-use super::plane::Moments;
 
 /// Marks a neighbour that is not in the tile.
 pub(super) const ELSEWHERE: u32 = u32::MAX;

@@ -1,9 +1,9 @@
 //! Estimation against an O(n²) oracle: same neighbours, same normals, for any memory and threads.
 
-use super::plane::Moments;
 use super::*;
 use pvmap_geometry::morton;
 use pvmap_geometry::normal::canonical_binned;
+use pvmap_geometry::plane::Moments;
 use pvmap_store::Quiet;
 
 /// A cloud in memory, sorted by Morton code.
@@ -255,6 +255,20 @@ fn n25_collinear_points_have_no_normal_and_one_step_aside_gives_one() {
     let (found, counts) = run(&cloud(line.clone()), Wanted::All, 1 << 20);
     assert_eq!(found, vec![Estimate::default(); 16]);
     assert_eq!((counts.n_none, counts.n_estimated), (16, 0));
+    // The same whichever way the cube is turned: the rank is that of integers.
+    for axes in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+        for mirrors in 0..8 {
+            let turn = |g: &GridPoint| {
+                let own = |i: usize| (g[axes[i]], mirrors >> i & 1 == 1);
+                [0, 1, 2].map(|i| match own(i) {
+                    (v, true) => (1 << 22) - 1 - v,
+                    (v, false) => v,
+                })
+            };
+            let turned: Vec<GridPoint> = line.iter().map(turn).collect();
+            assert_eq!(run(&cloud(turned), Wanted::All, 1 << 20).1.n_none, 16);
+        }
+    }
     let mut bent = line;
     bent[15][2] += 1;
     let found = run(&cloud(bent), Wanted::All, 1 << 20).0;

@@ -10,59 +10,80 @@ use pvmap_vmap::{FormatError, OctreeView};
 use super::{StoredPoint, Work};
 
 /// A cell of so few points is searched, not divided: that costs what finding its parts would.
-pub(super) const FEW_POINTS: u64 = 64;
+pub(crate) const FEW_POINTS: u64 = 64;
 
 /// Bytes of a row of section `codes`.
 const CODE_BYTES: u64 = 8;
 
 /// A cell that has points.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Cell {
-    pub(super) level: u8,
+pub(crate) struct Cell {
+    pub(crate) level: u8,
     first_code: u64,
     points: Range<u64>,
 }
 
 impl Cell {
-    pub(super) fn n_points(&self) -> u64 {
+    pub(crate) fn n_points(&self) -> u64 {
         self.points.end - self.points.start
     }
 
     /// Gives the index of its first point.
-    pub(super) fn first_point(&self) -> u64 {
+    pub(crate) fn first_point(&self) -> u64 {
         self.points.start
     }
 
     /// Gives the length of a side in grid steps.
-    pub(super) fn side_grid(&self) -> u32 {
+    pub(crate) fn side_grid(&self) -> u32 {
         side_grid(self.level)
     }
 
     /// Gives the box of all places that its points can have.
-    pub(super) fn bounds(&self) -> Box3 {
+    pub(crate) fn bounds(&self) -> Box3 {
         box_of(self.first_code, self.level)
+    }
+}
+
+/// A cell to look into, the nearest first, then the first in Morton order.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Open {
+    pub(crate) least2: u64,
+    pub(crate) cell: Cell,
+}
+
+impl Ord for Open {
+    fn cmp(&self, other: &Open) -> std::cmp::Ordering {
+        let key = |open: &Open| (open.least2, open.cell.first_point());
+        // Reversed: a heap gives its greatest.
+        key(other).cmp(&key(self))
+    }
+}
+
+impl PartialOrd for Open {
+    fn partial_cmp(&self, other: &Open) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
     }
 }
 
 /// The way to the cells and points of an octree; it counts what it reads.
 #[derive(Debug)]
-pub(super) struct Cells<'v, 'a> {
+pub(crate) struct Cells<'v, 'a> {
     octree: &'v OctreeView<'a>,
     work: Work,
 }
 
 impl<'v, 'a> Cells<'v, 'a> {
-    pub(super) fn new(octree: &'v OctreeView<'a>) -> Cells<'v, 'a> {
+    pub(crate) fn new(octree: &'v OctreeView<'a>) -> Cells<'v, 'a> {
         Cells { octree, work: Work::default() }
     }
 
     /// Gives what was read so far.
-    pub(super) fn work(&self) -> Work {
+    pub(crate) fn work(&self) -> Work {
         self.work
     }
 
     /// Gives the whole cube, unless it has no points.
-    pub(super) fn root(&mut self) -> Option<Cell> {
+    pub(crate) fn root(&mut self) -> Option<Cell> {
         let n_points = self.octree.summary().n_points;
         self.work.n_cells += u64::from(n_points > 0);
         (n_points > 0).then_some(Cell { level: 0, first_code: 0, points: 0..n_points })
@@ -71,7 +92,7 @@ impl<'v, 'a> Cells<'v, 'a> {
     /// Puts the children of a cell that are wanted and have points on a stack, the first in Morton
     /// order on top; `is_wanted` gets the box of all places a child's points can have. The cell
     /// has a level below it.
-    pub(super) fn divide(
+    pub(crate) fn divide(
         &mut self,
         cell: &Cell,
         stack: &mut Vec<Cell>,
@@ -109,7 +130,7 @@ impl<'v, 'a> Cells<'v, 'a> {
     ///
     /// # Errors
     /// Where a block is damaged or a point is not of the cell.
-    pub(super) fn each(
+    pub(crate) fn each(
         &mut self,
         cell: &Cell,
         mut visit: impl FnMut(&StoredPoint) -> ControlFlow<()>,
@@ -136,7 +157,7 @@ impl<'v, 'a> Cells<'v, 'a> {
     }
 
     /// Reads a point.
-    pub(super) fn point(&mut self, index: u64) -> Result<StoredPoint, FormatError> {
+    pub(crate) fn point(&mut self, index: u64) -> Result<StoredPoint, FormatError> {
         self.work.n_points += 1;
         let points = self.octree.points(index, 1)?;
         let Some(point) = points.iter().next() else { return Err(self.unsorted(index)) };

@@ -6,7 +6,7 @@
 //! answers of a map and of its points differ.
 //! Source: Goradia et al. 2007 §3; DESIGN.md [V-7].
 
-mod cells;
+pub(crate) mod cells;
 mod disagreement;
 mod nearest;
 mod occluders;

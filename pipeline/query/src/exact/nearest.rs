@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use pvmap_geometry::morton;
 use pvmap_vmap::FormatError;
 
-use super::cells::{Cell, Cells, FEW_POINTS};
+use super::cells::{Cell, Cells, FEW_POINTS, Open};
 use super::{Exact, StoredPoint};
 use crate::error::QueryError;
 use crate::locate::{Place, Target, target_of};
@@ -29,27 +29,6 @@ struct Fit {
     /// n·(normal given), its size where the point's side is unknown; 0 without a normal.
     along: Reverse<i64>,
     index: u64,
-}
-
-/// A cell to look into, the nearest first, then the first in Morton order.
-#[derive(Debug, PartialEq, Eq)]
-struct Open {
-    least2: u64,
-    cell: Cell,
-}
-
-impl Ord for Open {
-    fn cmp(&self, other: &Open) -> std::cmp::Ordering {
-        let key = |open: &Open| (open.least2, open.cell.first_point());
-        // Reversed: a heap gives its greatest.
-        key(other).cmp(&key(self))
-    }
-}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Open) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
 }
 
 /// The best points so far.

@@ -126,6 +126,8 @@ fn random_delta(rng: &mut Rng, cloud: &[Key]) -> u32 {
     }
 }
 
+/// Rows N56 and N63 ask that a walk through cells, or leaps over empty ones, miss no candidate:
+/// here a candidate is a point, and every occluder that brute force finds is found.
 #[test]
 fn v7_n56_n63_pairs_are_decided_as_all_points_say() {
     let mut rng = Rng::with_seed(70);
@@ -275,6 +277,48 @@ fn v7_n49_occluders_of_one_place_are_one_witness() {
     // A point does not see itself: there is no direction to face.
     let own = ask(&octree, 0, 1, p, p);
     assert!(!own.faces && !own.visible);
+}
+
+#[test]
+fn v7_n48_a_lower_k_and_one_more_point_let_nobody_see_more() {
+    let mut rng = Rng::with_seed(48);
+    let (mut n_hidden_by_k, mut n_hidden_by_one) = (0, 0);
+    for _ in 0..500 {
+        let n = rng.usize(2..200);
+        let cloud = random_cloud(&mut rng, n);
+        // One more, somewhere near the middle of the others.
+        let [p, q] = [0; 2].map(|_| cloud[rng.usize(..cloud.len())]);
+        let g = [0, 1, 2].map(|i| p.g[i].midpoint(q.g[i]));
+        let normal = [0; 3].map(|_| rng.i16(-9000..=9000));
+        let more = Key { g, normal, oriented: true };
+        let larger = sorted(cloud.iter().copied().chain([more]).collect());
+        let files = [&cloud, &larger].map(|cloud| octree_file(cloud));
+        let views = [0, 1].map(|i| OctreeView::open(&files[i]).unwrap());
+        let delta = random_delta(&mut rng, &cloud);
+        for _ in 0..30 {
+            let pair = [0; 2].map(|_| rng.usize(..cloud.len()));
+            let sees = |view: usize, k: u32| {
+                let exact = Exact::new(&views[view], options(delta, k));
+                // The points of the smaller octree keep their order in the larger one.
+                let all = if view == 0 { &cloud } else { &larger };
+                let at = |i: usize| {
+                    let is_same = |j: &usize| all[*j] == cloud[i];
+                    (0..all.len()).find(is_same).unwrap() as u64
+                };
+                let [p, q] = pair.map(|i| exact.point(at(i)).unwrap());
+                exact.pair(&p, &q).unwrap().visible
+            };
+            let by_k = [1, 2, 3, 8].map(|k| sees(0, k));
+            assert!(by_k.is_sorted(), "{by_k:?}");
+            n_hidden_by_k += u32::from(by_k[0] != by_k[3]);
+            for (k, before) in [(1, by_k[0]), (2, by_k[1])] {
+                let after = sees(1, k);
+                assert!(before || !after, "one more point, and {pair:?} see each other");
+                n_hidden_by_one += u32::from(before != after);
+            }
+        }
+    }
+    assert!(n_hidden_by_k > 100 && n_hidden_by_one > 20, "{n_hidden_by_k} {n_hidden_by_one}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod hostile;
 mod locate;
 mod octree;
 mod pair;
+mod quality;
 mod rays;
 mod regions;
 mod sound;

@@ -23,6 +23,11 @@ pub(crate) fn sorted(mut cloud: Vec<Key>) -> Vec<Key> {
 
 /// Makes the file of a cloud that is taken as sorted, on a lattice whose steps are grid steps.
 pub(crate) fn octree_file(cloud: &[Key]) -> Vec<u8> {
+    octree_file_with(cloud, false)
+}
+
+/// Makes such a file and says whether its normals came from the source.
+pub(crate) fn octree_file_with(cloud: &[Key], from_source: bool) -> Vec<u8> {
     let frame = Frame::of_lattice([1.0; 3], [0.0; 3], [0; 3], [i64::from(GRID_MAX); 3]);
     let schema = Schema::new(&[("position", ColumnType::I32x3), ("record", ColumnType::U32)]);
     let n_points = cloud.len() as u64;
@@ -50,7 +55,7 @@ pub(crate) fn octree_file(cloud: &[Key]) -> Vec<u8> {
     };
     let row = |key: &Key| {
         let Key { normal, oriented, .. } = *key;
-        PointNormal { normal, oriented, from_source: false }.to_bytes()
+        PointNormal { normal, oriented, from_source: from_source && normal != [0; 3] }.to_bytes()
     };
     let codes = cloud.iter().step_by(CODE_STRIDE as usize);
     let contents = [

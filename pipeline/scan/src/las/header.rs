@@ -100,7 +100,12 @@ impl Header {
         };
         header.find_end(&bytes);
         if header.bounds.is_none() && header.n_points > 0 {
-            warnings.push("the header's bounds are inverted, infinite or off: not used".to_owned());
+            // Max before min, an axis at a time.
+            let axis = |at| format!("{:?} to {:?}", f64_at(&bytes, at + 8), f64_at(&bytes, at));
+            let [x, y, z] = [179, 195, 211].map(axis);
+            warnings.push(format!(
+                "the header's bounds, x {x}, y {y}, z {z}, are inverted, infinite or off: not used"
+            ));
         }
         Ok(header)
     }

@@ -1,7 +1,7 @@
 //! Rows N06…N53 of the numeric catalogue, where they concern leaves.
 
 use fastrand::Rng;
-use pvmap_geometry::disc::{Profile, blocks};
+use pvmap_geometry::disc::{Disc, Profile, blocks, faces_both};
 use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::normal::NORMAL_LENGTH;
 use pvmap_geometry::{Box3, GridPoint, morton};
@@ -21,6 +21,10 @@ fn check(cloud: &[TestPoint], options: &CutOptions) -> Tree {
     tree
 }
 
+fn is_slow_run() -> bool {
+    std::env::var_os("PVMAP_SLOW_TESTS").is_some()
+}
+
 /// Points on a square grid at z, facing `normal`.
 fn sheet(n_side: u32, step: u32, z: u32, normal: [i16; 3]) -> Vec<TestPoint> {
     let places = (0..n_side * n_side).map(|i| [i % n_side * step, i / n_side * step, z]);
@@ -29,7 +33,9 @@ fn sheet(n_side: u32, step: u32, z: u32, normal: [i16; 3]) -> Vec<TestPoint> {
 
 #[test]
 fn n06_copies_beyond_the_capacity_end_at_the_last_level() {
-    let k = 100_000;
+    // A million where slow tests are asked for. No flag says that the leaf is overfull: that it has
+    // more points than `leaf_capacity` does.
+    let k = if is_slow_run() { 1_000_000 } else { 100_000 };
     let cloud = vec![TestPoint::at([77, 1 << 20, GRID_MAX]).facing(UP); k];
     for shape in SHAPES {
         for memory_bytes in [0, 1 << 20, 1 << 30] {
@@ -67,6 +73,18 @@ fn n08_no_point_gives_no_node_and_one_point_one_leaf() {
 }
 
 #[test]
+fn n09_a_line_is_cut_as_brute_force_does() {
+    // Two extents are zero: along an axis, then across a face of the cube and all of it.
+    for step in [[0, 0, 1], [0, 1, 1], [1, 1, 1]] {
+        let place = |i: u32| step.map(|s: u32| s * (i * 10_007 % (GRID_MAX + 1)));
+        let cloud: Vec<_> = (0..400).map(|i| TestPoint::at(place(i)).facing(UP)).collect();
+        for shape in SHAPES {
+            assert!(check(&cloud, &options(shape, 21, 3)).surfels.len() > 100);
+        }
+    }
+}
+
+#[test]
 fn n10_a_sheet_in_a_cell_face_is_in_the_upper_cells() {
     let z = 1 << 20;
     for shape in SHAPES {
@@ -100,6 +118,10 @@ fn n21_copies_far_out_have_themselves_as_centroid() {
             assert_eq!(tree.surfels[0].centroid, g);
         }
     }
+    // The row's million; sums of integers have no digits to lose.
+    let n = if is_slow_run() { 1_000_000 } else { 100_000 };
+    let tree = cut_cloud(&vec![TestPoint::at(g).facing(UP); n], &options(Shape::Paper, 3, 0));
+    assert_eq!((tree.surfels[0].centroid, tree.surfels[0].n_points), (g, n as u64));
 }
 
 #[test]
@@ -138,7 +160,7 @@ fn n23_a_lone_point_blocks_within_its_half_spacing() {
 fn blocks_a_vertical_line(surfel: &Surfel, away: u32) -> bool {
     let end = |dz: i32| {
         let c = surfel.centroid.map(|v| v as i32);
-        pvmap_geometry::disc::Disc {
+        Disc {
             centroid: [c[0] + away as i32, c[1], c[2] + dz],
             normal: [0; 3],
             two_sided: false,
@@ -168,6 +190,19 @@ fn n27_a_thin_wall_is_two_sided() {
     let tree = check(&cloud, &options(Shape::Paper, 8, 50));
     assert_eq!(tree.surfels.len(), 1);
     assert_eq!((tree.surfels[0].normal, tree.surfels[0].two_sided), (UP, true));
+    // It blocks from either side what a wall of one side would, and is seen from both.
+    for normal in [UP, DOWN] {
+        let one_sided = check(&sheet(5, 10, 100, normal), &options(Shape::Paper, 8, 50));
+        for away in [0, 10, 20, 30, 100] {
+            let expected = blocks_a_vertical_line(&one_sided.surfels[0], away);
+            assert_eq!(blocks_a_vertical_line(&tree.surfels[0], away), expected, "{away}");
+            assert_eq!(expected, away <= 20, "{away}");
+        }
+        let wall = disc_of(&tree.surfels[0], Profile::Patch);
+        let [x, y, z] = wall.centroid;
+        let eye = Disc { normal: [0; 3], centroid: [x, y, z + 50 * i32::from(normal[2])], ..wall };
+        assert!(faces_both(&eye, &wall) && faces_both(&wall, &eye));
+    }
     // Bins keep the faces apart.
     let tree = check(&cloud, &options(Shape::Binned, 8, 50));
     let faces: Vec<_> = tree.surfels.iter().map(|s| (s.normal, s.two_sided)).collect();

@@ -1,6 +1,6 @@
 //! The plane through a neighbourhood: exact sums, exact rank test, direction of least spread.
 
-use pvmap_geometry::normal::{Normal, quantise};
+use crate::normal::{Normal, quantise};
 
 /// Squarings after which two least eigenvalues that differ by one part in 10^8 are told apart.
 const MAX_SQUARINGS: usize = 32;
@@ -11,17 +11,26 @@ const ONE_DIRECTION: f64 = 1e-10;
 
 /// Sums over at most 16 points of their offsets from one of them, in grid steps (< 2^22 each).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Moments {
+pub struct Moments {
     n: i64,
     sum: [i64; 3],
     /// Σ of xx, xy, xz, yy, yz, zz: below 16 · 2^44.
     products: [i64; 6],
 }
 
+/// The plane through some points, in the sense of least squares.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    /// Of length 1, with any sign.
+    pub normal: [f64; 3],
+    /// Σ of the squared distances of the points from it, grid steps².
+    pub residual2: f64,
+}
+
 impl Moments {
     /// Adds `count` points at offset `d`.
     #[inline]
-    pub(super) fn add(&mut self, d: [i64; 3], count: i64) {
+    pub fn add(&mut self, d: [i64; 3], count: i64) {
         let [x, y, z] = d.map(|v| v * count);
         self.n += count;
         self.sum = [self.sum[0] + x, self.sum[1] + y, self.sum[2] + z];
@@ -44,27 +53,46 @@ impl Moments {
     /// product of the covariance's two largest: its dominant eigenvector is the normal. Its entries
     /// are exact integers, so a plane that is nearly a line loses nothing, and squaring it again
     /// and again leaves that eigenvector alone. Only + - × ÷ on f64: the same on every host.
-    pub(super) fn normal(&self) -> Option<Normal> {
+    pub fn normal(&self) -> Option<Normal> {
+        // The way through f32 costs 2^-24 of the length, far below what quantising rounds away.
+        quantise(self.direction()?.map(|v| v as f32))
+    }
+
+    /// Gives the plane that [`Moments::normal`] is of, with what quantising would round away;
+    /// `None` when the points are collinear or coincident, exactly.
+    pub fn plane(&self) -> Option<Plane> {
+        let n = self.direction()?;
+        let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let normal = n.map(|v| v / length);
+        let [xx, xy, xz, yy, yz, zz] = self.scatter().map(|v| v as f64);
+        let turned = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+            .map(|row| (0..3).map(|i| row[i] * normal[i]).sum::<f64>());
+        let sum = (0..3).map(|i| turned[i] * normal[i]).sum::<f64>() / self.n as f64;
+        // Rounding may leave a plane without thickness a little less than none.
+        Some(Plane { normal, residual2: sum.max(0.0) })
+    }
+
+    /// Gives the direction of least spread, of any length and sign.
+    fn direction(&self) -> Option<[f64; 3]> {
         let adjugate = self.adjugate();
         let [xx, _, _, yy, _, zz] = adjugate;
         // The covariance has no negative eigenvalue, so the sum of its principal minors (each ≥ 0)
         // is zero exactly when at most one eigenvalue is not.
         let trace = xx + yy + zz;
-        if trace == 0 {
-            return None;
-        }
-        let n = dominant(adjugate.map(|v| v as f64 / trace as f64));
-        // The way through f32 costs 2^-24 of the length, far below what quantising rounds away.
-        quantise(n.map(|v| v as f32))
+        (trace > 0).then(|| dominant(adjugate.map(|v| v as f64 / trace as f64)))
     }
 
-    /// Gives the adjugate of n·Σ g gᵀ - Σg Σgᵀ as xx, xy, xz, yy, yz, zz: below 2^106.
-    fn adjugate(&self) -> [i128; 6] {
-        // Entries stay below 16 · 16 · 2^44 = 2^52.
+    /// Gives n·Σ g gᵀ - Σg Σgᵀ as xx, xy, xz, yy, yz, zz: below 16 · 16 · 2^44 = 2^52.
+    fn scatter(&self) -> [i64; 6] {
         let [sx, sy, sz] = self.sum;
         let p = self.products.map(|v| v * self.n);
         let [xx, xy, xz] = [p[0] - sx * sx, p[1] - sx * sy, p[2] - sx * sz];
-        let [yy, yz, zz] = [p[3] - sy * sy, p[4] - sy * sz, p[5] - sz * sz];
+        [xx, xy, xz, p[3] - sy * sy, p[4] - sy * sz, p[5] - sz * sz]
+    }
+
+    /// Gives the adjugate of the scatter, in the same order: below 2^106.
+    fn adjugate(&self) -> [i128; 6] {
+        let [xx, xy, xz, yy, yz, zz] = self.scatter();
         let minor = |a: i64, b: i64, c: i64, d: i64| {
             i128::from(a) * i128::from(b) - i128::from(c) * i128::from(d)
         };
@@ -137,6 +165,28 @@ mod tests {
         let points: Vec<_> = (0..16).map(|i| [i * 200_000, i % 2, -(i % 2)]).collect();
         let n = normal(&points).expect("not a line");
         assert_eq!((n[0].abs(), n[1], n[1].abs()), (0, n[2], 11585));
+    }
+
+    #[test]
+    fn the_residual_is_that_of_the_distances() {
+        // Three above a floor, three below, a slope of 1 in 7: (7, 0, -1) across.
+        let points: Vec<_> = (0..16i64)
+            .map(|i| (i % 4 * 700, i / 4 * 500, [3, -3, 0, 0][(i % 4 + i / 4) as usize % 4]))
+            .map(|(x, y, off)| [x - off, y, x / 7 + 7 * off])
+            .collect();
+        let mut moments = Moments::default();
+        points.iter().for_each(|&p| moments.add(p, 1));
+        let plane = moments.plane().expect("not a line");
+        let n = plane.normal;
+        assert!((n.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 1e-12);
+        let expected = spread(&points, n).powi(2) * 16.0;
+        assert!((plane.residual2 / expected - 1.0).abs() < 1e-6, "{plane:?} {expected}");
+        let flat: Vec<_> = (0..16i64).map(|i| [i % 4 * 9000, i / 4 * 9000, i % 4 * 3000]).collect();
+        let mut moments = Moments::default();
+        flat.iter().for_each(|&p| moments.add(p, 1));
+        let plane = moments.plane().expect("not a line");
+        assert!(plane.residual2 < 1e-3 && (plane.normal[2] / plane.normal[0] + 3.0).abs() < 1e-6);
+        assert_eq!(Moments::default().plane(), None);
     }
 
     #[test]
