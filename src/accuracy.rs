@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::Error;
 
 /// Pairs drawn, answered and judged at a time.
-const CHUNK_PAIRS: u64 = 4096;
+pub(crate) const CHUNK_PAIRS: u64 = 4096;
 /// Triangles are asked for places by number: these are more than anybody will draw, and so many
 /// that a triangle's share of them is its share of the area.
 const N_PLACES: u64 = MOST_POINTS;
@@ -79,6 +79,15 @@ impl<'a> Way<'a> {
         };
         Way { name: "points", answer: Box::new(answer) }
     }
+
+    /// Answers; nothing where a place is outside the cube.
+    pub(crate) fn reply(&mut self, a: &Place, b: &Place) -> Result<Option<Reply>, Error> {
+        match (self.answer)(a, b) {
+            Ok(reply) => Ok(Some(reply)),
+            Err(Error::Query(e)) if e.kind() == ErrorKind::Place => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
 }
 
 /// What a comparison found.
@@ -132,7 +141,7 @@ impl Tally {
         self.n_facing - self.n_wrong_facing
     }
 
-    fn count(&mut self, verdict: Verdict, reply: Option<Reply>) {
+    pub(crate) fn count(&mut self, verdict: Verdict, reply: Option<Reply>) {
         let Some(Reply { visible, is_far }) = reply else {
             self.n_refused += 1;
             return;
@@ -167,9 +176,9 @@ impl Comparison {
 
 /// What the truth says of a pair.
 #[derive(Debug, Clone, Copy)]
-struct Verdict {
-    faces: bool,
-    sees: bool,
+pub(crate) struct Verdict {
+    pub(crate) faces: bool,
+    pub(crate) sees: bool,
 }
 
 /// Draws pairs of places, asks every way and the truth about each, and counts.
@@ -197,11 +206,7 @@ pub fn compare(
         for (way, tally) in ways.iter_mut().zip(&mut found.tallies) {
             let started = Instant::now();
             for ([a, b], replies) in pairs.iter().zip(&mut replies) {
-                replies.push(match (way.answer)(&a.place, &b.place) {
-                    Ok(reply) => Some(reply),
-                    Err(Error::Query(e)) if e.kind() == ErrorKind::Place => None,
-                    Err(e) => return Err(e),
-                });
+                replies.push(way.reply(&a.place, &b.place)?);
             }
             tally.seconds += started.elapsed().as_secs_f64();
         }
@@ -213,7 +218,7 @@ pub fn compare(
     Ok(found)
 }
 
-fn judge(truth: &Scene, pair: &[Drawn; 2]) -> Option<Verdict> {
+pub(crate) fn judge(truth: &Scene, pair: &[Drawn; 2]) -> Option<Verdict> {
     let (a, b) = (pair[0].sample?, pair[1].sample?);
     Some(Verdict { faces: Scene::faces(&a, &b), sees: truth.sees(&a, &b) })
 }
@@ -230,6 +235,24 @@ pub struct ScanPoints<'a> {
     view: &'a OctreeView<'a>,
     path: &'a Path,
     placement: Placement,
+}
+
+/// A point of an octree that was drawn.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ScanPoint {
+    /// Its place in the order of the octree.
+    pub(crate) index: u64,
+    /// As a map is asked.
+    pub(crate) place: Place,
+    /// Its normal; zero where it has none or its side is not known.
+    side: [f32; 3],
+}
+
+impl ScanPoint {
+    /// Finds where the truth is asked, see [`ScanPoints::draw`].
+    pub(crate) fn on(&self, truth: &Scene) -> Drawn {
+        Drawn { place: self.place, sample: truth.project(self.place.position, self.side) }
+    }
 }
 
 impl<'a> ScanPoints<'a> {
@@ -261,6 +284,16 @@ impl<'a> ScanPoints<'a> {
     /// # Errors
     /// Where the octree is damaged or has no such point.
     pub fn at(&self, truth: &Scene, index: u64) -> Result<Drawn, Error> {
+        Ok(self.point(index)?.on(truth))
+    }
+
+    /// Draws a point.
+    pub(crate) fn pick(&self, rng: &mut Rng) -> Result<ScanPoint, Error> {
+        self.point(rng.u64(..self.view.summary().n_points))
+    }
+
+    /// Reads a point by its place in the order of the octree.
+    fn point(&self, index: u64) -> Result<ScanPoint, Error> {
         let named = |e: FormatError| Error::artifact(self.path, e);
         let points = self.view.points(index, 1).map_err(named)?;
         let point = points.iter().next().expect("one was asked for").map_err(named)?;
@@ -270,7 +303,7 @@ impl<'a> ScanPoints<'a> {
         let has_normal = normal != [0.0; 3];
         let side = if point.key.oriented { normal } else { [0.0; 3] };
         let place = Place { position, normal: has_normal.then_some(normal) };
-        Ok(Drawn { place, sample: truth.project(position, side) })
+        Ok(ScanPoint { index, place, side })
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use pvmap_octree::cut::{CutMemory, CutOptions, cut};
+use pvmap_query::exact::ExactOptions;
 use pvmap_store::output::require_own;
 use pvmap_store::{Mapped, StoreError, Watch, WorkFolder};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
@@ -129,15 +130,38 @@ fn run(
     let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
         *options;
     let cut_options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
-    let memory_bytes = options.memory_bytes;
-    // The tree gets most; to fill in its spacing takes some of what the points had.
-    let points_bytes = memory_bytes / 16 * 5;
-    let cut_memory = CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes };
-    let tree = cut(view, &cut_options, cut_memory, watch)?;
+    let tree = cut(view, &cut_options, cut_memory(options.memory_bytes), watch)?;
     let (_, crs) = view.crs().map_err(|e: FormatError| Error::Octree(e.into()))?;
     let digest = view.summary().digest;
     let input = MapInput { tree: &tree, frame: view.frame(), crs, digest };
     let report = pvmap_visibility::build(&input, options, work, watch)?;
     let n = u128::from(report.summary.n_surfels);
     Ok(Built { report, n_leaf_pairs: n * n.saturating_sub(1) / 2 })
+}
+
+/// Shares out the memory of a cut.
+fn cut_memory(memory_bytes: u64) -> CutMemory {
+    // The tree gets most; to fill in its spacing takes some of what the points had.
+    let points_bytes = memory_bytes / 16 * 5;
+    CutMemory { points_bytes, tree_bytes: memory_bytes - points_bytes }
+}
+
+/// Proposes Δ and K of [V-7] for the points of an octree: those that are usual with the map of a
+/// default configuration, which need not be there. Runs on the current rayon pool.
+///
+/// # Errors
+/// Where the octree is damaged, its tree outgrows the memory or the run is asked to stop.
+pub(crate) fn usual_nearness(
+    view: &OctreeView<'_>,
+    memory_bytes: u64,
+    watch: &dyn Watch,
+) -> Result<ExactOptions, Error> {
+    let BuildConfig { max_level, leaf_capacity, max_spread, tree, profile, spacing, .. } =
+        BuildConfig::default();
+    let shape = tree;
+    let options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
+    let tree = cut(view, &options, cut_memory(memory_bytes), watch)?;
+    let n_surfels = u32::try_from(tree.surfels.len()).expect("a tree has fewer than 2^32 nodes");
+    let half_spacing = |id: u32| Ok(tree.surfels[id as usize].half_spacing);
+    ExactOptions::usual_of(n_surfels, half_spacing)
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use pvmap_octree::OctreeError;
 use pvmap_query::QueryError;
 use pvmap_scan::{ErrorKind, ScanError};
-use pvmap_scene::SceneError;
+use pvmap_scene::{SceneError, SceneKind};
 use pvmap_store::StoreError;
 use pvmap_visibility::VisibilityError;
 use pvmap_vmap::FormatError;
@@ -53,6 +53,18 @@ pub enum Error {
     /// Data that is not what it should be.
     #[error("{0}")]
     Data(String),
+    /// Neither a file nor a scene that could be generated.
+    #[error("{}: no such file, nor a scene; give a scan, an octree or one of: {}",
+            .0.display(), SceneKind::ALL.map(SceneKind::name).join(", "))]
+    NoSource(PathBuf),
+    /// A command that was run for a part of the work and failed.
+    #[error("{message}")]
+    Command {
+        /// What it said.
+        message: String,
+        /// Its exit code.
+        code: u8,
+    },
     /// The system gives no threads.
     #[error("cannot start threads: {0}; give --threads a smaller number")]
     Threads(String),
@@ -107,6 +119,8 @@ impl Error {
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
             Error::Scene { source, .. } => of_scene(source),
             Error::Usage(_) => 2,
+            Error::NoSource(_) => 66,
+            Error::Command { code, .. } => *code,
             Error::Threads(_) => 74,
         }
     }

@@ -49,7 +49,9 @@ mod limits;
 mod pairing;
 pub mod rows;
 pub mod scenes;
+pub mod svg;
 mod told;
+pub mod tradeoff;
 
 pub use build::{Built, Checkpoints, build, build_with, open_octree};
 pub use classes::class_points;

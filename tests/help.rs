@@ -7,7 +7,7 @@ mod cli_common;
 use cli_common::{Bench, room};
 
 /// Every page of help: its name, and what asks for it.
-const PAGES: [(&str, &str); 18] = [
+const PAGES: [(&str, &str); 19] = [
     ("pvmap", "--help"),
     ("ingest", "ingest --help"),
     ("build", "build --help"),
@@ -25,6 +25,7 @@ const PAGES: [(&str, &str); 18] = [
     ("render", "render --help"),
     ("scene", "scene --help"),
     ("accuracy", "accuracy --help"),
+    ("tradeoff", "tradeoff --help"),
     ("demo", "demo --help"),
 ];
 
@@ -53,7 +54,7 @@ fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
     }
     for command in [
         "ingest", "build", "query", "render", "info", "verify", "export", "scene", "accuracy",
-        "demo",
+        "tradeoff", "demo",
     ] {
         assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
         // The short form and the long one are the same page.

@@ -10,6 +10,7 @@ mod ingest;
 mod query;
 mod render;
 mod scene;
+mod tradeoff;
 mod verify;
 
 use std::io::{self, Write};
@@ -79,6 +80,7 @@ enum Command {
     Export(export::Args),
     Scene(scene::Args),
     Accuracy(accuracy::Args),
+    Tradeoff(tradeoff::Args),
     Demo(demo::Args),
 }
 
@@ -154,6 +156,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Export(args) => export::run(&args, context),
         Command::Scene(args) => scene::run(&args, context),
         Command::Accuracy(args) => accuracy::run(&args, context),
+        Command::Tradeoff(args) => tradeoff::run(&args, context),
         Command::Demo(args) => demo::run(&args, context),
     }
 }

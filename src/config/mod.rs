@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
-use pvmap_store::InputFile;
+use pvmap_store::{InputFile, StoreError};
 use pvmap_visibility::VisibilityError;
 use pvmap_visibility::interaction::GIVEN_BYTES;
 use pvmap_vmap::{Shape, Spacing};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::limits::{Limits, parse_memory};
@@ -56,7 +56,7 @@ impl Default for BuildConfig {
 }
 
 /// A configuration file as it is written; every key may be missing.
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RawConfig {
     /// `max_level`, 1…21.
@@ -80,7 +80,7 @@ pub struct RawConfig {
 }
 
 /// `tree = "binned" | "paper"`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum RawTree {
     /// One octree a normal bin, leaves split by normal quadrants.
@@ -90,7 +90,7 @@ pub enum RawTree {
 }
 
 /// `profile = "patch" | "paper"`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum RawProfile {
     /// Discs cut to their points' box, transparent near their own ends.
@@ -100,7 +100,7 @@ pub enum RawProfile {
 }
 
 /// `spacing = "leaf" | "neighbors"`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum RawSpacing {
     /// By the box of a leaf's own points.
@@ -110,7 +110,7 @@ pub enum RawSpacing {
 }
 
 /// The table `[interaction]`.
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RawInteraction {
     /// A CSV file with columns node_a,node_b; relative to the configuration file.
@@ -162,6 +162,18 @@ impl RawConfig {
             memory: self.memory.or(below.memory),
             interaction: self.interaction.or(below.interaction),
         }
+    }
+
+    /// Writes it as a file that may lie anywhere: a list is named by its whole path.
+    ///
+    /// # Errors
+    /// Where that path is no text, or not known.
+    pub fn to_toml(&self) -> Result<String, Error> {
+        let mut raw = self.clone();
+        if let Some(list) = raw.interaction.as_mut().and_then(|i| i.list.as_mut()) {
+            *list = std::path::absolute(&*list).map_err(|e| StoreError::io(list, "find", e))?;
+        }
+        toml::to_string(&raw).map_err(|e| Error::Config(format!("a configuration: {e}")))
     }
 
     fn deepest_level(&self) -> Result<u8, String> {
@@ -322,6 +334,22 @@ mod tests {
         }
         let depth8 = RawConfig::find(Path::new("depth8.toml")).unwrap().check().unwrap();
         assert_eq!(depth8, (BuildConfig::default(), Limits::default()));
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("pairs.csv"), "node_a,node_b\n1,2\n").unwrap();
+        let text = "max_level = 7\nmax_spread = 3\ntree = \"paper\"\nmemory = \"2GiB\"\n\
+                    [interaction]\nlist = \"pairs.csv\"\n";
+        std::fs::write(folder.path().join("a.toml"), text).unwrap();
+        let raw = RawConfig::find(&folder.path().join("a.toml")).unwrap();
+        // Elsewhere, the list is still found.
+        std::fs::create_dir(folder.path().join("below")).unwrap();
+        let copy = folder.path().join("below/b.toml");
+        std::fs::write(&copy, raw.to_toml().unwrap()).unwrap();
+        let again = RawConfig::find(&copy).unwrap();
+        assert_eq!(again.check().unwrap(), raw.check().unwrap());
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub enum Made {
     Las,
     /// A PLY.
     Ply,
-    /// A table with this row of names.
+    /// A text with this first line, such as a table with this row of names.
     Table(&'static str),
 }
 
@@ -90,7 +90,7 @@ fn require_own(path: &Path, made: Made, overwrite: bool) -> Result<(), StoreErro
     }
     Err(StoreError::CannotCreate {
         path: path.to_path_buf(),
-        reason: "a file of that name exists that pvmap export did not make; give another name, \
+        reason: "a file of that name exists that this command did not make; give another name, \
                  or --overwrite replaces it"
             .to_owned(),
     })

@@ -78,10 +78,20 @@ impl ExactOptions {
     /// # Errors
     /// Where what is read of the map is damaged.
     pub fn usual(map: &Map<'_>) -> Result<ExactOptions, QueryError> {
-        let n_surfels = map.view().summary().n_surfels;
-        let ids = (0..n_surfels).step_by((n_surfels / 1000).max(1) as usize);
         let of_leaf = |id| map.surfel(id).map(|surfel| surfel.half_spacing);
-        let mut halves = ids.map(of_leaf).collect::<Result<Vec<u32>, _>>()?;
+        Ok(ExactOptions::usual_of(map.view().summary().n_surfels, of_leaf)?)
+    }
+
+    /// Proposes what [`ExactOptions::usual`] does from the half spacing of each of `n_surfels`.
+    ///
+    /// # Errors
+    /// Those of `half_spacing`.
+    pub fn usual_of<E>(
+        n_surfels: u32,
+        half_spacing: impl FnMut(u32) -> Result<u32, E>,
+    ) -> Result<ExactOptions, E> {
+        let ids = (0..n_surfels).step_by((n_surfels / 1000).max(1) as usize);
+        let mut halves = ids.map(half_spacing).collect::<Result<Vec<u32>, _>>()?;
         halves.sort_unstable();
         let median = halves.get(halves.len() / 2).copied().unwrap_or(0);
         Ok(ExactOptions::new(2 * median, NonZero::<u32>::MIN.saturating_add(1)))

@@ -1,0 +1,218 @@
+//! A build in a process of its own: its peak of memory is then its own, and it can be ended at any
+//! time. What it takes is what `pvmap build --progress json` tells of its stages.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use pvmap::tradeoff::Setting;
+use pvmap::{Error, StoreError, Watch};
+use serde_json::Value;
+
+use super::Args;
+use super::source::Source;
+
+/// The command itself, whatever became of its file meanwhile.
+const SELF: &str = "/proc/self/exe";
+/// How often a wish to stop is looked for.
+const TICK: Duration = Duration::from_millis(50);
+/// The tree outgrows `--memory`, or has too many nodes: all else that ends so was refused before.
+const TOO_LARGE: i32 = 78;
+
+/// How a build ended.
+pub(super) enum Ended {
+    /// There is a map.
+    Built(Measured),
+    /// It took longer than it may.
+    Stopped,
+    /// It cannot be built within the memory: why.
+    Refused(String),
+}
+
+/// What a build took.
+#[derive(Debug, Default)]
+pub(super) struct Measured {
+    pub(super) build_seconds: f64,
+    pub(super) visibility_seconds: f64,
+    pub(super) cpu_seconds: f64,
+    pub(super) peak_bytes: u64,
+}
+
+impl Measured {
+    fn merge(&mut self, other: &Measured) {
+        self.build_seconds = self.build_seconds.min(other.build_seconds);
+        self.visibility_seconds = self.visibility_seconds.min(other.visibility_seconds);
+        self.cpu_seconds = self.cpu_seconds.min(other.cpu_seconds);
+        self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
+    }
+}
+
+/// Builds the map of a setting as often as was wished; the least seconds and the most memory count.
+///
+/// # Errors
+/// Those of [`build`].
+pub(super) fn build_often(
+    args: &Args,
+    setting: &Setting,
+    source: &Source,
+    map: &Path,
+    watch: &dyn Watch,
+) -> Result<Ended, Error> {
+    let mut ended = build(args, setting, source, map, watch)?;
+    for _ in 1..args.runs {
+        let Ended::Built(best) = &mut ended else { break };
+        // Where another run takes too long, the map of the first is still there.
+        if let Ended::Built(again) = build(args, setting, source, map, watch)? {
+            best.merge(&again);
+        }
+    }
+    Ok(ended)
+}
+
+/// Builds the map of a setting once.
+///
+/// # Errors
+/// Where the build cannot be started or fails, or the run is asked to stop.
+fn build(
+    args: &Args,
+    setting: &Setting,
+    source: &Source,
+    map: &Path,
+    watch: &dyn Watch,
+) -> Result<Ended, Error> {
+    let config = map.with_extension("toml");
+    std::fs::write(&config, setting.raw.to_toml()?)
+        .map_err(|e| StoreError::io(&config, "write", e))?;
+    let fail = |e| StoreError::io(Path::new(SELF), "run", e);
+    let mut command = Command::new(SELF);
+    command.arg("build").arg(source.octree()).arg("-o").arg(map).arg("--config").arg(&config);
+    command.arg("--threads").arg(args.threads.to_string());
+    command.arg("--memory").arg(args.memory.to_string());
+    command.args(["--progress", "json"]);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    watch.stage("build", None, "pairs");
+    let mut running = Running(command.spawn().map_err(fail)?);
+    let lines = lines_of(&mut running.0);
+    let deadline = Instant::now() + Duration::from_secs(args.limit);
+    let mut told = Told::default();
+    loop {
+        match lines.recv_timeout(TICK) {
+            Ok(line) => told.hear(&line, watch),
+            Err(RecvTimeoutError::Timeout) => {}
+            // Its last line: it has ended, or is about to.
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        watch.check()?;
+        if Instant::now() >= deadline {
+            running.end();
+            // Gone at the end in any case, but the disk may be small.
+            let _ = std::fs::remove_dir_all(map.with_extension("vmap.build"));
+            return Ok(Ended::Stopped);
+        }
+    }
+    told.measured.cpu_seconds = cpu_seconds_of(&running.0)?;
+    let status = running.0.wait().map_err(fail)?;
+    match status.code() {
+        Some(0) => Ok(Ended::Built(told.measured)),
+        // A signal that was meant for all.
+        Some(129 | 130 | 143) => Err(StoreError::Interrupted.into()),
+        Some(TOO_LARGE) => Ok(Ended::Refused(told.error)),
+        code => Err(Error::Command {
+            message: match told.error.is_empty() {
+                true => format!("{}: the build ended with {status}", setting.name),
+                false => format!("{}: {}", setting.name, told.error),
+            },
+            code: code.and_then(|code| u8::try_from(code).ok()).unwrap_or(70),
+        }),
+    }
+}
+
+/// What `/proc` counts processor time in, on every architecture that Linux has today.
+const TICKS_A_SECOND: f64 = 100.0;
+
+/// Waits for the end of a process that has said its last, and reads what all its threads took. The
+/// system knows until somebody asks how it ended.
+fn cpu_seconds_of(child: &Child) -> Result<f64, StoreError> {
+    let path = PathBuf::from(format!("/proc/{}/stat", child.id()));
+    loop {
+        let text = std::fs::read_to_string(&path).map_err(|e| StoreError::io(&path, "read", e))?;
+        // The name, which may hold anything, ends with the last bracket. Source: proc(5).
+        let mut fields = text.rsplit(')').next().unwrap_or_default().split_whitespace();
+        let is_over = fields.next().is_none_or(|state| state == "Z");
+        let ticks = fields.skip(10).take(2).map(|ticks| ticks.parse::<f64>().unwrap_or(0.0));
+        if is_over {
+            return Ok(ticks.sum::<f64>() / TICKS_A_SECOND);
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A process that does not outlive this.
+struct Running(Child);
+
+impl Running {
+    fn end(&mut self) {
+        // It may have ended by itself; all its files are ours.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// Hands on what a process says, line by line, until it ends.
+fn lines_of(child: &mut Child) -> Receiver<String> {
+    let (send, lines) = channel();
+    let said = child.stderr.take();
+    std::thread::spawn(move || {
+        let said = said.into_iter().flat_map(|pipe| BufReader::new(pipe).lines());
+        for line in said.map_while(Result::ok) {
+            if send.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    lines
+}
+
+/// What was heard of a build.
+#[derive(Debug, Default)]
+struct Told {
+    measured: Measured,
+    n_pairs: u64,
+    error: String,
+}
+
+impl Told {
+    fn hear(&mut self, line: &str, watch: &dyn Watch) {
+        if let Some(error) = line.strip_prefix("pvmap: error: ") {
+            error.clone_into(&mut self.error);
+            return;
+        }
+        let Ok(said) = serde_json::from_str::<Value>(line) else { return };
+        if let Some(warning) = said["warning"].as_str() {
+            watch.warn(warning);
+        }
+        let stage = said["stage"].as_str().unwrap_or_default();
+        let number = |key: &str| said[key].as_u64().unwrap_or(0);
+        if stage == "visibility" {
+            watch.advance(number("done").saturating_sub(self.n_pairs));
+            self.n_pairs = number("done");
+            watch.tasks(number("tasks_done"), number("tasks_total"), number("links"));
+        }
+        if said["ended"] == true {
+            let seconds = said["seconds"].as_f64().unwrap_or(0.0);
+            self.measured.build_seconds += seconds;
+            if ["prepare", "visibility"].contains(&stage) {
+                self.measured.visibility_seconds += seconds;
+            }
+            self.measured.peak_bytes = self.measured.peak_bytes.max(number("rss_anon_bytes"));
+        }
+    }
+}

@@ -1,0 +1,421 @@
+//! `pvmap tradeoff`: what each setting of a build costs, and how often its map is wrong.
+
+mod child;
+mod source;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use pvmap::accuracy::ScanPoints;
+use pvmap::config::{RawConfig, RawProfile, RawTree};
+use pvmap::query::Map;
+use pvmap::tradeoff::pareto::{Wish, choose, front};
+use pvmap::tradeoff::table::{self, CSV_HEADER};
+use pvmap::tradeoff::{
+    Axes, Built, Clock, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
+};
+use pvmap::{Error, Limits, Mapped, StoreError, TableFile, Watch, begin_table, is_stdout};
+use serde_json::{Value, json};
+
+use self::child::{Ended, Measured};
+use self::source::Source;
+use super::threads_parser;
+use super::{Context, Outcome as Answer, parse_count, parse_some, print_json, refuse_input};
+
+/// Show what each setting of a build costs and buys: time, memory, size, error
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Of one octree a map is built for every setting, each by a pvmap build of its own, and all maps are
+asked about the same random pairs of points. The pairs are points of the scan that face each other
+in truth; what is counted is how many of them a map has wrong.
+
+Truth is the exact geometry of a scene that is generated here (empty, packed, furnished, cave), or
+the triangles of --truth, asked as pvmap accuracy asks them. Without either the points themselves
+answer, as with pvmap query MAP pair --exact; that is a reference and not truth, and is called so.
+A scan file is ingested with default options; for others give the octree of pvmap ingest.
+
+Settings: without any of the options from --config to --max-spread, some ten settings around
+depth8, one changed at a time. With several values the settings are all combinations of them:
+--max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has it; with
+several configurations each of them is combined. A setting whose build takes longer than --limit
+is stopped, and told so.
+
+Columns, with 95 % intervals (Wilson):
+  seconds              from the octree to the finished map; of several --runs the least
+  memory               most anonymous memory of the building process, of all runs
+  leaves, links        of the map, each link once
+  map                  size of the file
+  query                what a pair took to answer: both places found in the map, then the pair
+  wrongly visible      of the pairs that face each other: the map says yes, the truth no
+  wrongly invisible    of the same pairs: the map says no, the truth yes
+  error, both          the two together
+With --cpu seconds are those of all its threads together (CSV and JSON have both anyway). A star
+marks settings that no other beats in both, seconds and error. --want recommends one of
+them: for an error the quickest whose interval ends below it, for a time the most accurate that
+keeps it. Where there is none, the line says which comes nearest; the exit code is 0 all the same.
+
+The same seed gives the same pairs, and the same counts on any machine; seconds and memory are those
+of this one. Ctrl-C prints what is measured so far; files are then not written. Maps and what is
+generated lie in the system's folder for temporary files (TMPDIR) until the end.
+
+Examples:
+  pvmap tradeoff furnished
+  pvmap tradeoff cave --points 1M --svg cave.svg --csv cave.csv --want error=1%
+  pvmap tradeoff grotto.octree --max-level 6,7,8 --leaf-capacity 25,50,100 --limit 600
+  pvmap tradeoff room.ply --truth room.mesh.ply --config depth8,paper,mine.toml --want time=30s")]
+pub(super) struct Args {
+    /// A scene to generate, a scan file, or an octree, as pvmap ingest
+    /// makes it
+    #[arg(value_name = "SCENE|SCAN|NAME.octree", verbatim_doc_comment)]
+    source: PathBuf,
+    /// The exact triangles of the scan, a PLY mesh
+    #[arg(long, value_name = "MESH.ply")]
+    truth: Option<PathBuf>,
+    /// How many points a generated scene has [default: 400k]
+    #[arg(long, value_parser = parse_count, value_name = "N")]
+    points: Option<u64>,
+    /// How many pairs are drawn
+    #[arg(long, default_value = "100k", value_parser = parse_some, value_name = "N")]
+    pairs: u64,
+    /// What pairs and generated points are drawn from
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    seed: u64,
+    /// Configurations: TOML files, or where there is none of a name presets
+    /// [default: depth8]
+    #[arg(long, value_delimiter = ',', value_name = "NAME,…", verbatim_doc_comment)]
+    config: Vec<PathBuf>,
+    /// Deepest levels to try, 1 to 21
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "L,…",
+        value_parser = clap::value_parser!(u8).range(1..=21)
+    )]
+    max_level: Vec<u8>,
+    /// Capacities of leaves to try, in points
+    #[arg(long, value_delimiter = ',', value_name = "N,…")]
+    leaf_capacity: Vec<u64>,
+    /// Spreads of leaves to try, 0 for any
+    #[arg(long, value_delimiter = ',', value_name = "N,…")]
+    max_spread: Vec<u16>,
+    /// Trees to try: binned, paper
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "SHAPE,…",
+        hide_possible_values = true
+    )]
+    tree: Vec<RawTree>,
+    /// Profiles to try: patch, paper
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "HOW,…",
+        hide_possible_values = true
+    )]
+    profile: Vec<RawProfile>,
+    /// Seconds that a build may take
+    #[arg(long, default_value_t = 300, value_name = "SECONDS")]
+    limit: u64,
+    /// How often each map is built; the quickest counts
+    #[arg(
+        long,
+        default_value_t = 1,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
+    runs: u32,
+    /// Compare processor seconds: they tell less of what else is running
+    #[arg(long)]
+    cpu: bool,
+    /// What is wanted: error=0.5% (the quickest such setting) or time=30s
+    /// (the most accurate such setting)
+    #[arg(long, value_name = "WISH", verbatim_doc_comment)]
+    want: Option<Wish>,
+    /// Where the table goes as CSV; - for standard output
+    #[arg(long, value_name = "FILE.csv")]
+    csv: Option<PathBuf>,
+    /// Where error against seconds is drawn
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+    /// Answer as one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Replace files of those names whatever they are
+    #[arg(long)]
+    overwrite: bool,
+    /// Threads of a build; 0 takes as many as the machine has
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
+    threads: usize,
+    /// Most memory of a build or of the triangles
+    #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
+    memory: u64,
+}
+
+pub(super) fn run(args: &Args, context: &Context) -> Answer {
+    let sweep = sweep(args)?;
+    if args.pairs > Sample::MAX_PAIRS {
+        let message = format!("--pairs: {}, the most are {}", args.pairs, Sample::MAX_PAIRS);
+        return Err(Error::Usage(message).into());
+    }
+    let outputs = Outputs::begin(args)?;
+    let watch = &context.progress;
+    let limits = Limits { threads: args.threads, memory_bytes: args.memory };
+    let source = Source::find(args, &limits, watch)?;
+    let file = pvmap::open_octree(source.octree())?;
+    let view = source.view(&file)?;
+    let (truth, judge) = source.truth(&view, &limits, watch)?;
+    let points = ScanPoints::new(&view, source.octree())?;
+    let drawn = limits.run(|| Sample::draw(&truth, &points, (args.pairs, args.seed), watch))?;
+    let sample = drawn.map_err(|e| source.named(e))?;
+    let subject = Subject {
+        name: args.source.display().to_string(),
+        n_points: view.summary().n_points,
+        seed: args.seed,
+        n_drawn: sample.n_drawn(),
+        n_left_out: sample.n_left_out(),
+        n_facing: sample.n_facing(),
+        n_visible: sample.n_visible(),
+        judge,
+        clock: if args.cpu { Clock::Processor } else { Clock::Wall },
+    };
+    if subject.n_facing == 0 {
+        return Err(nothing_to_ask(&subject).into());
+    }
+    let mut rows = Vec::new();
+    let measured = measure_all(args, &sweep.settings, &source, &sample, context, &mut rows);
+    match measured {
+        Ok(()) => outputs.finish(args, &rows, &subject)?,
+        Err(Error::Store(StoreError::Interrupted)) if !rows.is_empty() => {
+            // It may have taken an hour: what is known is told, but no file is there in part.
+            if !outputs.are_stdout() {
+                print(args, &rows, &subject, true)?;
+            }
+            return Err(Error::Store(StoreError::Interrupted).into());
+        }
+        Err(e) => return Err(e.into()),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Lists the settings that were asked for.
+fn sweep(args: &Args) -> Result<Sweep, Error> {
+    let axes = Axes {
+        max_level: args.max_level.clone(),
+        leaf_capacity: args.leaf_capacity.clone(),
+        max_spread: args.max_spread.clone(),
+        tree: args.tree.clone(),
+        profile: args.profile.clone(),
+    };
+    if args.config.is_empty() && axes.is_empty() {
+        return Sweep::around("depth8", &RawConfig::find(Path::new("depth8"))?);
+    }
+    let default = [PathBuf::from("depth8")];
+    let names = if args.config.is_empty() { &default[..] } else { &args.config };
+    let named = |path: &PathBuf| {
+        let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        Ok::<_, Error>((super::one_line(&name), RawConfig::find(path)?))
+    };
+    Sweep::of(&names.iter().map(named).collect::<Result<Vec<_>, _>>()?, &axes)
+}
+
+fn nothing_to_ask(subject: &Subject) -> Error {
+    let why = match subject.n_left_out == subject.n_drawn {
+        true => "on the triangles; give the truth of this scan, in its units",
+        false => "face to face; draw more of them with --pairs",
+    };
+    Error::Data(format!("{}: none of {} pairs lies {why}", subject.name, subject.n_drawn))
+}
+
+/// Builds and asks every setting, a row each.
+fn measure_all(
+    args: &Args,
+    settings: &[Setting],
+    source: &Source,
+    sample: &Sample,
+    context: &Context,
+    rows: &mut Vec<Row>,
+) -> Result<(), Error> {
+    let watch = &context.progress;
+    for (i, setting) in settings.iter().enumerate() {
+        watch.check()?;
+        watch.note(&format!("{} of {}: {}", i + 1, settings.len(), setting.name));
+        let map = source.file(&format!("{i}.vmap"));
+        let outcome = match child::build_often(args, setting, source, &map, watch)? {
+            Ended::Stopped => Outcome::Stopped(args.limit as f64),
+            Ended::Refused(why) => Outcome::Refused(why),
+            Ended::Built(measured) => {
+                let built = ask(args, &map, sample, measured, watch)?;
+                watch.note(&told(&setting.name, &built));
+                Outcome::Built(built)
+            }
+        };
+        // Gone at the end in any case.
+        let _ = std::fs::remove_file(&map);
+        rows.push(Row { setting: setting.clone(), outcome });
+    }
+    Ok(())
+}
+
+fn told(name: &str, built: &Built) -> String {
+    format!("{name}: {:.2} s, error {:.2} %", built.seconds, 100.0 * built.error().value())
+}
+
+/// Asks a map about the pairs.
+fn ask(
+    args: &Args,
+    path: &Path,
+    sample: &Sample,
+    measured: Measured,
+    watch: &dyn Watch,
+) -> Result<Built, Error> {
+    let bytes = Mapped::open(path)?;
+    let map = Map::open(&bytes).map_err(|e| Error::of_query(path, e))?;
+    let tally = sample.ask(&map, watch).map_err(|e| match e {
+        Error::Query(e) => Error::of_query(path, e),
+        e => e,
+    })?;
+    let summary = map.view().summary();
+    Ok(Built {
+        seconds: if args.cpu { measured.cpu_seconds } else { measured.build_seconds },
+        cpu_seconds: measured.cpu_seconds,
+        build_seconds: measured.build_seconds,
+        visibility_seconds: measured.visibility_seconds,
+        peak_bytes: measured.peak_bytes,
+        n_leaves: summary.n_surfels.into(),
+        n_links: summary.n_links,
+        map_bytes: bytes.len() as u64,
+        tally,
+    })
+}
+
+/// The files that were asked for, begun before any work.
+struct Outputs {
+    csv: Option<TableFile>,
+    svg: Option<TableFile>,
+}
+
+impl Outputs {
+    fn begin(args: &Args) -> Result<Outputs, Error> {
+        let on_stdout = |path: &Option<PathBuf>| path.as_deref().is_some_and(is_stdout);
+        let n_on_stdout = [args.json, on_stdout(&args.csv), on_stdout(&args.svg)];
+        if n_on_stdout.into_iter().filter(|&is| is).count() > 1 {
+            let message = "standard output has room for one of --json, --csv - and --svg -";
+            return Err(Error::Usage(message.to_owned()));
+        }
+        let inputs = source::inputs(args);
+        for output in args.csv.iter().chain(&args.svg).filter(|path| !is_stdout(path)) {
+            refuse_input(output, &inputs)?;
+        }
+        if args.csv.is_some() && args.csv == args.svg {
+            return Err(Error::Usage("--csv and --svg cannot be one file".to_owned()));
+        }
+        let begin = |path: &Option<PathBuf>, start| {
+            path.as_deref().map(|path| begin_table(path, start, args.overwrite)).transpose()
+        };
+        Ok(Outputs { csv: begin(&args.csv, CSV_HEADER)?, svg: begin(&args.svg, plot::START)? })
+    }
+
+    /// Says whether one of them is what standard output is for.
+    fn are_stdout(&self) -> bool {
+        self.csv.iter().chain(&self.svg).any(|file| is_stdout(file.path()))
+    }
+
+    /// Writes them, and the answer where standard output is free for it.
+    fn finish(self, args: &Args, rows: &[Row], subject: &Subject) -> anyhow::Result<()> {
+        let is_free = !self.are_stdout();
+        let mut closed = Vec::new();
+        if let Some(mut file) = self.csv {
+            let path = file.path().to_path_buf();
+            table::write_csv(&mut file, rows, subject).map_err(|e| failed(&path, e))?;
+            closed.extend(file.close()?);
+        }
+        if let Some(mut file) = self.svg {
+            let path = file.path().to_path_buf();
+            let drawing = plot::draw(rows, subject, args.want);
+            file.write_all(drawing.as_bytes()).map_err(|e| failed(&path, e))?;
+            closed.extend(file.close()?);
+        }
+        for file in closed {
+            file.publish(false)?;
+        }
+        if is_free {
+            print(args, rows, subject, false)?;
+        }
+        Ok(())
+    }
+}
+
+fn failed(path: &Path, e: io::Error) -> Error {
+    StoreError::io(path, "write", e).into()
+}
+
+fn print(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> io::Result<()> {
+    if args.json {
+        return print_json(&as_json(args, rows, subject, is_stopped));
+    }
+    io::stdout().lock().write_all(table::text(rows, subject, args.want).as_bytes())
+}
+
+fn as_json(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> Value {
+    let settings = rows.iter().zip(front(rows)).map(|(row, on_front)| {
+        let setting = &row.setting;
+        let mut value = json!({
+            "setting": setting.name,
+            "mode": setting.mode(),
+            "tree": setting.tree(),
+            "profile": setting.profile(),
+            "max_level": setting.config.max_level,
+            "leaf_capacity": setting.config.leaf_capacity,
+            "max_spread": setting.config.max_spread,
+            "outcome": table::outcome_word(&row.outcome),
+            "on_front": on_front,
+        });
+        if let (Some(value), Some(built)) = (value.as_object_mut(), row.built()) {
+            value.extend(built_json(built));
+        }
+        value
+    });
+    let choice = args.want.and_then(|wish| choose(rows, wish));
+    let recommended = choice
+        .map(|choice| json!({ "setting": rows[choice.row].setting.name, "is_met": choice.is_met }));
+    json!({
+        "source": subject.name,
+        "points": subject.n_points,
+        "seed": subject.seed,
+        "pairs": subject.n_drawn,
+        "left_out": subject.n_left_out,
+        "facing": subject.n_facing,
+        "visible": subject.n_visible,
+        "judge": subject.judge.word(),
+        "compared_by": subject.clock.column(),
+        "settings": settings.collect::<Vec<_>>(),
+        "want": args.want.map(|wish| wish.to_string()),
+        "recommended": recommended,
+        "stopped": is_stopped,
+    })
+}
+
+fn built_json(built: &Built) -> serde_json::Map<String, Value> {
+    let share = |share: Share| {
+        let [low, high] = share.interval();
+        json!({ "n": share.k, "of": share.n, "share": share.value(), "low": low, "high": high })
+    };
+    let fields = [
+        ("build_seconds", json!(built.build_seconds)),
+        ("visibility_seconds", json!(built.visibility_seconds)),
+        ("cpu_seconds", json!(built.cpu_seconds)),
+        ("peak_rss_anon_bytes", json!(built.peak_bytes)),
+        ("leaves", json!(built.n_leaves)),
+        ("links", json!(built.n_links)),
+        ("map_bytes", json!(built.map_bytes)),
+        ("query_seconds", json!(built.query_seconds())),
+        ("wrongly_visible", share(built.false_visible())),
+        ("wrongly_invisible", share(built.false_invisible())),
+        ("error", share(built.error())),
+    ];
+    fields.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()
+}

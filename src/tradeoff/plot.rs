@@ -1,0 +1,253 @@
+//! Error against seconds, as SVG: a mark a setting, with its interval, its name and the front.
+
+use std::fmt::Write;
+
+use super::pareto::{Wish, choose, front};
+use super::table::recommendation;
+use super::{Built, Clock, Outcome, Row, Subject};
+use crate::svg::{Axis, COLORS, begin, escaped, grid, mark, stroke, text};
+
+/// What a drawing begins with: by it a file is known as one.
+pub const START: &str = "<!-- pvmap tradeoff -->";
+
+const WIDTH: f64 = 960.0;
+const HEIGHT: f64 = 640.0;
+/// Around the axes: left, right, above, below.
+const MARGINS: [f64; 4] = [76.0, 28.0, 118.0, 72.0];
+/// The height of a line of letters, and about the width of one letter.
+const LETTER: [f64; 2] = [14.0, 6.9];
+
+const STYLE: &str = "\
+<style>.interval { stroke-width: 1.4; opacity: 0.55 } .front { stroke: #555; stroke-width: 1.2; \
+stroke-dasharray: 2 3; fill: none } .wish { stroke: #b00; stroke-width: 1; stroke-dasharray: 7 4 } \
+.chosen { stroke: #b00; stroke-width: 1.6; fill: none } .leader { stroke: #bbb }</style>
+";
+
+/// Draws the rows. What was not built is told below; of an error of 0 the mark lies on the axis.
+pub fn draw(rows: &[Row], subject: &Subject, wish: Option<Wish>) -> String {
+    let title = format!("{}: what accuracy costs", escaped(&subject.name));
+    let subtitle = format!(
+        "{} points; wrong of {} pairs that face each other, with 95 % intervals; {}",
+        subject.n_points,
+        subject.n_facing,
+        subject.judge.words()
+    );
+    let mut svg = format!("{START}\n{}{STYLE}", begin([WIDTH, HEIGHT], &title, &subtitle));
+    let spots = spots(rows);
+    if !spots.is_empty() {
+        panel(&mut svg, rows, &spots, subject.clock, wish);
+    }
+    text(&mut svg, [28.0, HEIGHT - 14.0], "subtitle", "start", &escaped(&below(rows, wish)));
+    svg.push_str("</svg>\n");
+    svg
+}
+
+/// A setting that was built, and what is drawn of it.
+struct Spot<'a> {
+    row: usize,
+    name: &'a str,
+    built: &'a Built,
+    group: usize,
+    is_front: bool,
+}
+
+/// Gives what rows of a colour and shape have in common.
+fn group_of(row: &Row) -> String {
+    let setting = &row.setting;
+    let plain = format!("{} tree, {} profile", setting.tree(), setting.profile());
+    if setting.mode() == "exact" { plain } else { format!("{plain}, {}", setting.mode()) }
+}
+
+/// Gives the groups in the order of their first rows.
+fn groups(rows: &[Row]) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
+    for group in rows.iter().filter(|r| r.built().is_some()).map(group_of) {
+        if !found.contains(&group) {
+            found.push(group);
+        }
+    }
+    found
+}
+
+fn spots(rows: &[Row]) -> Vec<Spot<'_>> {
+    let groups = groups(rows);
+    let spot = |((row, r), is_front): ((usize, &'_ Row), bool)| {
+        let group = groups.iter().position(|g| *g == group_of(r)).unwrap_or(0);
+        (row, group, is_front)
+    };
+    let found = rows.iter().enumerate().zip(front(rows)).map(spot);
+    found
+        .filter_map(|(row, group, is_front)| {
+            let name = &rows[row].setting.name;
+            Some(Spot { row, name, built: rows[row].built()?, group, is_front })
+        })
+        .collect()
+}
+
+/// Says what was not built, and what is recommended.
+fn below(rows: &[Row], wish: Option<Wish>) -> String {
+    let told = rows.iter().filter_map(|row| match &row.outcome {
+        Outcome::Built(_) => None,
+        Outcome::Stopped(seconds) => Some(format!("{}: stopped at {seconds} s", row.setting.name)),
+        Outcome::Refused(_) => Some(format!("{}: not built", row.setting.name)),
+    });
+    told.chain(wish.map(|wish| recommendation(rows, Some(wish)))).collect::<Vec<_>>().join("; ")
+}
+
+fn panel(svg: &mut String, rows: &[Row], spots: &[Spot<'_>], clock: Clock, wish: Option<Wish>) {
+    let [left, right, above, below] = MARGINS;
+    let [width, height] = [WIDTH - left - right, HEIGHT - above - below];
+    let seconds = spots.iter().map(|s| s.built.seconds.max(1e-3));
+    let errors = spots.iter().flat_map(|s| {
+        let error = s.built.error();
+        [error.value(), error.interval()[0], error.interval()[1]]
+    });
+    let wished = |is_time: bool| match wish {
+        Some(Wish::Time(t)) if is_time => Some(t),
+        Some(Wish::Error(e)) if !is_time => Some(e),
+        _ => None,
+    };
+    let xs = seconds.chain(wished(true)).filter(|&v| v > 0.0);
+    let ys = errors.chain(wished(false)).map(|v| 100.0 * v).filter(|&v| v > 0.0);
+    let x = Axis::over(xs, [left, width]);
+    let y = Axis::over(ys, [above + height, -height]);
+    let seconds_of = |v: f64| format!("{} s", plain(v));
+    let percent_of = |v: f64| format!("{} %", plain(v));
+    grid(svg, [&x, &y], [&seconds_of, &percent_of]);
+    let seconds = match clock {
+        Clock::Wall => "seconds of the build",
+        Clock::Processor => "processor seconds of the build, all threads together",
+    };
+    text(svg, [left + width, HEIGHT - 36.0], "subtitle", "end", seconds);
+    text(svg, [left - 48.0, above - 14.0], "subtitle", "start", "pairs answered wrongly");
+    let place =
+        |built: &Built| [x.at(built.seconds.max(1e-3)), y.at(100.0 * built.error().value())];
+    if let Some(t) = wished(true) {
+        stroke(svg, "wish", [x.at(t), above], [x.at(t), above + height]);
+    }
+    if let Some(e) = wished(false) {
+        stroke(svg, "wish", [left, y.at(100.0 * e)], [left + width, y.at(100.0 * e)]);
+    }
+    let chosen = wish.and_then(|wish| choose(rows, wish)).map(|choice| choice.row);
+    let mut taken: Vec<[f64; 4]> = spots.iter().map(|s| around(place(s.built))).collect();
+    taken.extend(spots.iter().map(|s| {
+        let ([x, _], [low, high]) = (place(s.built), s.built.error().interval());
+        [x - 1.0, y.at(100.0 * high), x + 1.0, y.at(100.0 * low)]
+    }));
+    let front = spots.iter().filter(|s| s.is_front).map(|s| place(s.built)).collect();
+    taken.extend(steps(svg, front));
+    for spot in spots {
+        let at = place(spot.built);
+        let interval = spot.built.error().interval().map(|v| y.at(100.0 * v));
+        one(svg, spot, at, interval);
+        if chosen == Some(spot.row) {
+            let [x, y] = at;
+            let _ = writeln!(svg, "<circle class=\"chosen\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"9\"/>");
+        }
+    }
+    let bounds = [left, above, left + width, above + height];
+    // The front is named first, where there is room.
+    for is_front in [true, false] {
+        for spot in spots.iter().filter(|s| s.is_front == is_front) {
+            name(svg, spot.name, place(spot.built), bounds, &mut taken);
+        }
+    }
+    key(svg, rows, [left, above - 38.0]);
+}
+
+/// Draws a setting: its interval, its mark, and what is told where a pointer rests on it.
+fn one(svg: &mut String, spot: &Spot<'_>, at: [f64; 2], [low, high]: [f64; 2]) {
+    let color = COLORS[spot.group % COLORS.len()];
+    let built = spot.built;
+    let _ = writeln!(
+        svg,
+        "<g class=\"setting\"><title>{}: {:.2} s, error {:.3} %, {} leaves, {} links</title>",
+        escaped(spot.name),
+        built.seconds,
+        100.0 * built.error().value(),
+        built.n_leaves,
+        built.n_links
+    );
+    let _ = writeln!(
+        svg,
+        "<path class=\"interval\" stroke=\"{color}\" d=\"M{x:.1} {low:.1}L{x:.1} {high:.1}\"/>",
+        x = at[0]
+    );
+    mark(svg, at, color, spot.group, spot.is_front);
+    svg.push_str("</g>\n");
+}
+
+/// Draws the front as steps: what lies above them is beaten. Gives the areas that they take.
+fn steps(svg: &mut String, mut places: Vec<[f64; 2]>) -> Vec<[f64; 4]> {
+    places.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let Some(first) = places.first() else { return Vec::new() };
+    let mut path = format!("M{:.1} {:.1}", first[0], first[1]);
+    let mut taken = Vec::new();
+    for pair in places.windows(2) {
+        let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
+        let _ = write!(path, "H{x1:.1}V{y1:.1}");
+        taken.extend([[x0, y0 - 1.0, x1, y0 + 1.0], [x1 - 1.0, y0, x1 + 1.0, y1]]);
+    }
+    let _ = writeln!(svg, "<path class=\"front\" d=\"{path}\"/>");
+    taken
+}
+
+fn around([x, y]: [f64; 2]) -> [f64; 4] {
+    [x - 6.0, y - 6.0, x + 6.0, y + 6.0]
+}
+
+/// Writes a name beside its mark, where nothing else stands; farther off with a line to it.
+fn name(
+    svg: &mut String,
+    name: &str,
+    [x, y]: [f64; 2],
+    bounds: [f64; 4],
+    taken: &mut Vec<[f64; 4]>,
+) {
+    let width = LETTER[1] * name.chars().count() as f64;
+    // Beside the mark, a little above or below it, then farther and farther off.
+    let rises = (0..40).map(|i| 7.0 * f64::from(i));
+    let places = rises.flat_map(|rise| {
+        [(true, -rise), (true, rise), (false, -rise), (false, rise)]
+            .map(|(is_right, off)| (is_right, [x, y + off]))
+    });
+    let box_of = |(is_right, [x, y]): (bool, [f64; 2])| {
+        let begin = if is_right { x + 9.0 } else { x - 9.0 - width };
+        [begin, y - 7.0, begin + width, y + 7.0]
+    };
+    let meets =
+        |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+    let is_free = |area: &[f64; 4]| {
+        area[0] > bounds[0]
+            && area[1] > bounds[1]
+            && area[2] < bounds[2]
+            && area[3] < bounds[3]
+            && !taken.iter().any(|other| meets(area, other))
+    };
+    let mut places = places.map(|place| (place, box_of(place)));
+    let beside = (true, [x, y]);
+    let ((is_right, [at_x, at_y]), area) =
+        places.find(|(_, area)| is_free(area)).unwrap_or((beside, box_of(beside)));
+    let (edge, anchor) = if is_right { (at_x + 9.0, "start") } else { (at_x - 9.0, "end") };
+    if (at_y - y).abs() > 1.5 * LETTER[0] {
+        stroke(svg, "leader", [x, y], [edge, at_y]);
+    }
+    text(svg, [edge, at_y + 4.0], "", anchor, &escaped(name));
+    taken.push(area);
+}
+
+/// Writes what the marks mean.
+fn key(svg: &mut String, rows: &[Row], mut at: [f64; 2]) {
+    for (i, group) in groups(rows).iter().enumerate() {
+        mark(svg, at, COLORS[i % COLORS.len()], i, true);
+        text(svg, [at[0] + 10.0, at[1] + 4.0], "", "start", group);
+        at[0] += 34.0 + LETTER[1] * group.chars().count() as f64;
+    }
+    text(svg, [WIDTH - 28.0, at[1] + 28.0], "subtitle", "end", "full: no setting beats it");
+}
+
+/// Writes a round number without needless zeros: 0.05, 2, 100.
+fn plain(v: f64) -> String {
+    let rounded = format!("{v:.6}");
+    rounded.trim_end_matches('0').trim_end_matches('.').to_owned()
+}

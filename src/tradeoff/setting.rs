@@ -1,0 +1,266 @@
+//! Settings: configurations with short names, and lists of them.
+
+use pvmap_geometry::disc::Profile;
+use pvmap_vmap::Shape;
+
+use crate::config::{PRESETS, RawConfig, RawProfile, RawTree};
+use crate::{BuildConfig, Error};
+
+/// A configuration with a short name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting {
+    /// What it is called: "depth8", "level 7", "capacity 100, spread 3".
+    pub name: String,
+    /// As a configuration file has it.
+    pub raw: RawConfig,
+    /// What decides the content of its map.
+    pub config: BuildConfig,
+}
+
+impl Setting {
+    fn new(name: String, raw: RawConfig) -> Result<Setting, Error> {
+        let (config, _) = raw.clone().check()?;
+        Ok(Setting { name, raw, config })
+    }
+
+    /// Gives the word for how its map is made: exact, or the name of an approximation.
+    pub fn mode(&self) -> &'static str {
+        if self.config.interaction.is_some() { "given list" } else { "exact" }
+    }
+
+    /// Gives the word for its tree.
+    pub fn tree(&self) -> &'static str {
+        match self.config.tree {
+            Shape::Binned => "binned",
+            Shape::Paper => "paper",
+        }
+    }
+
+    /// Gives the word for its profile.
+    pub fn profile(&self) -> &'static str {
+        match self.config.profile {
+            Profile::Patch => "patch",
+            Profile::Paper => "paper",
+        }
+    }
+}
+
+/// Values to try, an axis each; an empty axis keeps what a configuration says.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Axes {
+    /// Deepest levels.
+    pub max_level: Vec<u8>,
+    /// Capacities of leaves, points.
+    pub leaf_capacity: Vec<u64>,
+    /// How far leaves may be spread, times.
+    pub max_spread: Vec<u16>,
+    /// Trees.
+    pub tree: Vec<RawTree>,
+    /// Profiles.
+    pub profile: Vec<RawProfile>,
+}
+
+impl Axes {
+    /// Says whether there is nothing to try.
+    pub fn is_empty(&self) -> bool {
+        *self == Axes::default()
+    }
+
+    /// Gives every combination of the values.
+    fn product(&self) -> Vec<RawConfig> {
+        let mut found = vec![RawConfig::default()];
+        found = each(found, &self.tree, |raw, &v| raw.tree = Some(v));
+        found = each(found, &self.profile, |raw, &v| raw.profile = Some(v));
+        found = each(found, &self.max_level, |raw, &v| raw.max_level = Some(v));
+        found = each(found, &self.leaf_capacity, |raw, &v| raw.leaf_capacity = Some(v));
+        each(found, &self.max_spread, |raw, &v| raw.max_spread = Some(v))
+    }
+}
+
+/// Sets every value in every configuration; leaves them as they are where there is none.
+fn each<T>(
+    configs: Vec<RawConfig>,
+    values: &[T],
+    set: impl Fn(&mut RawConfig, &T),
+) -> Vec<RawConfig> {
+    if values.is_empty() {
+        return configs;
+    }
+    let with = |raw: RawConfig| {
+        values.iter().map({
+            let set = &set;
+            move |value| {
+                let mut raw = raw.clone();
+                set(&mut raw, value);
+                raw
+            }
+        })
+    };
+    configs.into_iter().flat_map(with).collect()
+}
+
+/// Settings to try, each once, in an order that stays.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sweep {
+    /// The settings.
+    pub settings: Vec<Setting>,
+}
+
+impl Sweep {
+    /// Crosses configurations, each with its name, with the values of the axes. Where there are no
+    /// values they are tried as they are; of settings that say the same the first is kept.
+    ///
+    /// # Errors
+    /// Where a value is out of range or an interaction list cannot be read.
+    pub fn of(bases: &[(String, RawConfig)], axes: &Axes) -> Result<Sweep, Error> {
+        let mut sweep = Sweep { settings: Vec::new() };
+        for (name, base) in bases {
+            let (plain, _) = base.clone().check()?;
+            for over in axes.product() {
+                let differences = differences(&over, &plain);
+                let raw = over.over(base.clone());
+                let name = match (&differences[..], bases) {
+                    ([], _) => name.clone(),
+                    (some, [_]) => some.join(", "),
+                    (some, _) => format!("{name}, {}", some.join(", ")),
+                };
+                sweep.push(Setting::new(name, raw)?);
+            }
+        }
+        Ok(sweep)
+    }
+
+    /// Goes from one configuration along one axis at a time: levels, capacities, a spread, the
+    /// paper's profile and tree, and both.
+    ///
+    /// # Errors
+    /// Where the configuration is none.
+    pub fn around(name: &str, base: &RawConfig) -> Result<Sweep, Error> {
+        let one = |axes: Axes| Sweep::of(&[(name.to_owned(), base.clone())], &axes);
+        let mut sweep = one(Axes::default())?;
+        let steps = [
+            Axes { max_level: vec![5, 6, 7], ..Axes::default() },
+            Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },
+            Axes { max_spread: vec![3], ..Axes::default() },
+            Axes { profile: vec![RawProfile::Paper], ..Axes::default() },
+            Axes { tree: vec![RawTree::Paper], ..Axes::default() },
+            Axes {
+                tree: vec![RawTree::Paper],
+                profile: vec![RawProfile::Paper],
+                ..Axes::default()
+            },
+        ];
+        for axes in steps {
+            one(axes)?.settings.into_iter().for_each(|setting| sweep.push(setting));
+        }
+        Ok(sweep)
+    }
+
+    /// Adds a setting, unless there is one that says the same.
+    fn push(&mut self, mut setting: Setting) {
+        if self.settings.iter().any(|s| s.config == setting.config) {
+            return;
+        }
+        // What ships under a name goes by that name.
+        let is_same = |text: &str| {
+            let preset = toml::from_str::<RawConfig>(text).ok().and_then(|raw| raw.check().ok());
+            preset.is_some_and(|(config, _)| config == setting.config)
+        };
+        if let Some((name, _)) = PRESETS.into_iter().find(|(_, text)| is_same(text)) {
+            setting.name = name.to_owned();
+        }
+        self.settings.push(setting);
+    }
+}
+
+/// Names the values that are others than those of a configuration.
+fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
+    let tree = |tree| match tree {
+        RawTree::Binned => ("binned", Shape::Binned),
+        RawTree::Paper => ("paper", Shape::Paper),
+    };
+    let profile = |profile| match profile {
+        RawProfile::Patch => ("patch", Profile::Patch),
+        RawProfile::Paper => ("paper", Profile::Paper),
+    };
+    let tree = over.tree.map(tree).filter(|t| t.1 != plain.tree);
+    let profile = over.profile.map(profile).filter(|p| p.1 != plain.profile);
+    let level = over.max_level.filter(|&v| v != plain.max_level);
+    let capacity = over.leaf_capacity.filter(|&v| v != plain.leaf_capacity);
+    let spread = over.max_spread.filter(|&v| v != plain.max_spread);
+    [
+        tree.map(|(word, _)| format!("tree {word}")),
+        profile.map(|(word, _)| format!("profile {word}")),
+        level.map(|v| format!("level {v}")),
+        capacity.map(|v| format!("capacity {v}")),
+        spread.map(|v| format!("spread {v}")),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(sweep: &Sweep) -> Vec<&str> {
+        sweep.settings.iter().map(|s| s.name.as_str()).collect()
+    }
+
+    fn preset(name: &str) -> (String, RawConfig) {
+        (name.to_owned(), RawConfig::find(name.as_ref()).unwrap())
+    }
+
+    #[test]
+    fn axes_are_crossed_and_named_by_what_differs() {
+        let axes = Axes {
+            max_level: vec![7, 8],
+            leaf_capacity: vec![50, 100],
+            tree: vec![RawTree::Binned],
+            ..Axes::default()
+        };
+        let sweep = Sweep::of(&[preset("depth8")], &axes).unwrap();
+        assert_eq!(names(&sweep), ["level 7", "level 7, capacity 100", "depth8", "capacity 100"]);
+        let found: Vec<_> =
+            sweep.settings.iter().map(|s| (s.config.max_level, s.config.leaf_capacity)).collect();
+        assert_eq!(found, [(7, 50), (7, 100), (8, 50), (8, 100)]);
+        // What was crossed is what a build would be told.
+        for setting in &sweep.settings {
+            assert_eq!(setting.raw.clone().check().unwrap().0, setting.config);
+        }
+    }
+
+    #[test]
+    fn several_configurations_keep_their_names_and_equal_ones_are_one() {
+        let axes = Axes { max_level: vec![8, 9], ..Axes::default() };
+        let bases = [preset("depth8"), preset("paper"), preset("depth8")];
+        let sweep = Sweep::of(&bases, &axes).unwrap();
+        assert_eq!(names(&sweep), ["depth8", "depth8, level 9", "paper", "paper, level 9"]);
+    }
+
+    #[test]
+    fn around_a_configuration_each_axis_is_seen() {
+        let (name, base) = preset("depth8");
+        let sweep = Sweep::around(&name, &base).unwrap();
+        assert_eq!(sweep.settings[0].config, BuildConfig::default());
+        let differs = |of: fn(&BuildConfig) -> u64| {
+            sweep.settings.iter().any(|s| of(&s.config) != of(&BuildConfig::default()))
+        };
+        assert!(differs(|c| c.max_level.into()) && differs(|c| c.leaf_capacity));
+        assert!(differs(|c| c.max_spread.into()) && differs(|c| (c.tree == Shape::Paper).into()));
+        assert!(differs(|c| (c.profile == Profile::Paper).into()));
+        assert!(names(&sweep).contains(&"paper"), "{:?}", names(&sweep));
+        let mut unique = names(&sweep);
+        unique.sort_unstable();
+        unique.dedup();
+        assert_eq!(unique.len(), sweep.settings.len());
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        let axes = Axes { max_level: vec![22], ..Axes::default() };
+        let refused = Sweep::of(&[preset("depth8")], &axes).unwrap_err();
+        assert_eq!(refused.exit_code(), 78);
+    }
+}
