@@ -7,7 +7,7 @@ use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use cli_common::{
-    Bench, LAS_BOUNDS, Run, XYZ, floor, info, patch, ply_header, room, room_ply, write_las,
+    Bench, LAS_BOUNDS, Run, floor, info, noise_ply, patch, room, room_ply, write_las,
 };
 use serde_json::Value;
 
@@ -473,13 +473,7 @@ fn exit_130_and_143_a_stopped_ingest_leaves_nothing() {
 #[test]
 fn exit_130_and_143_a_stopped_build_keeps_the_old_map() {
     let bench = Bench::new();
-    // Points amid the air: next to nothing can be settled high up, so this would take minutes.
-    let mut random = fastrand::Rng::with_seed(7);
-    let mut text = ply_header(200_000, &XYZ);
-    for _ in 0..200_000 {
-        text.extend((0..3).map(|_| format!("{} ", random.f32())).chain(["\n".to_owned()]));
-    }
-    bench.write("a.ply", text);
+    bench.write("a.ply", noise_ply(200_000));
     bench.line("ingest a.ply").ok();
     bench.line("build --max-level 1").ok();
     let old = bench.read("a.vmap");

@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 use std::time::Duration;
 
-use cli_common::{Bench, Run, XYZ, info, ply_header};
+use cli_common::{Bench, Run, XYZ, info, noise_ply, ply_header};
 use pvmap::accuracy::ScanPoints;
 use pvmap::query::Map;
 use pvmap::query::exact::{Exact, ExactOptions};
@@ -283,15 +283,9 @@ fn what_is_wanted_is_recommended() {
     assert_eq!(answer["recommended"]["is_met"], false);
 }
 
-/// Points amid the air: next to nothing can be settled high up, so that a fine map of them takes
-/// minutes.
+/// An octree whose fine maps take minutes.
 fn noise(bench: &Bench) {
-    let mut random = fastrand::Rng::with_seed(7);
-    let mut text = ply_header(100_000, &XYZ);
-    for _ in 0..100_000 {
-        text.extend((0..3).map(|_| format!("{} ", random.f32())).chain(["\n".to_owned()]));
-    }
-    bench.write("a.ply", text);
+    bench.write("a.ply", noise_ply(100_000));
     bench.line("ingest a.ply").ok();
 }
 

@@ -294,6 +294,17 @@ pub fn ply_header(n_points: u32, names: &[&str]) -> String {
     text + "end_header\n"
 }
 
+/// Gives a text PLY of points amid the air: next to nothing can be settled high up in their tree,
+/// so that a fine map of them takes minutes.
+pub fn noise_ply(n_points: u32) -> String {
+    let mut random = fastrand::Rng::with_seed(7);
+    let mut text = ply_header(n_points, &XYZ);
+    for _ in 0..n_points {
+        text.extend((0..3).map(|_| format!("{} ", random.f32())).chain(["\n".to_owned()]));
+    }
+    text
+}
+
 /// The properties of a point without attributes.
 pub const XYZ: [&str; 3] = ["x", "y", "z"];
 

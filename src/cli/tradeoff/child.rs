@@ -49,39 +49,34 @@ impl Measured {
     }
 }
 
-/// Builds the map of a setting as often as was wished; the least seconds and the most memory count.
+/// A map to be built.
+pub(super) struct Job<'a> {
+    pub(super) args: &'a Args,
+    pub(super) setting: &'a Setting,
+    pub(super) source: &'a Source,
+    /// Where it goes.
+    pub(super) map: &'a Path,
+}
+
+/// Builds a map as often as was wished; the least seconds and the most memory count.
 ///
 /// # Errors
-/// Those of [`build`].
-pub(super) fn build_often(
-    args: &Args,
-    setting: &Setting,
-    source: &Source,
-    map: &Path,
-    watch: &dyn Watch,
-) -> Result<Ended, Error> {
-    let mut ended = build(args, setting, source, map, watch)?;
-    for _ in 1..args.runs {
+/// Where a build cannot be started or fails, or the run is asked to stop.
+pub(super) fn build_often(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
+    let mut ended = build(job, watch)?;
+    for _ in 1..job.args.runs {
         let Ended::Built(best) = &mut ended else { break };
         // Where another run takes too long, the map of the first is still there.
-        if let Ended::Built(again) = build(args, setting, source, map, watch)? {
+        if let Ended::Built(again) = build(job, watch)? {
             best.merge(&again);
         }
     }
     Ok(ended)
 }
 
-/// Builds the map of a setting once.
-///
-/// # Errors
-/// Where the build cannot be started or fails, or the run is asked to stop.
-fn build(
-    args: &Args,
-    setting: &Setting,
-    source: &Source,
-    map: &Path,
-    watch: &dyn Watch,
-) -> Result<Ended, Error> {
+/// Builds a map once.
+fn build(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
+    let Job { args, setting, source, map } = job;
     let config = map.with_extension("toml");
     std::fs::write(&config, setting.raw.to_toml()?)
         .map_err(|e| StoreError::io(&config, "write", e))?;
@@ -116,8 +111,8 @@ fn build(
     let status = running.0.wait().map_err(fail)?;
     match status.code() {
         Some(0) => Ok(Ended::Built(told.measured)),
-        // A signal that was meant for all.
-        Some(129 | 130 | 143) => Err(StoreError::Interrupted.into()),
+        // A signal that was meant for both.
+        Some(129 | 130 | 143) if watch.is_stopped() => Err(StoreError::Interrupted.into()),
         Some(TOO_LARGE) => Ok(Ended::Refused(told.error)),
         code => Err(Error::Command {
             message: match told.error.is_empty() {

@@ -18,10 +18,12 @@ use pvmap::tradeoff::{
 use pvmap::{Error, Limits, Mapped, StoreError, TableFile, Watch, begin_table, is_stdout};
 use serde_json::{Value, json};
 
-use self::child::{Ended, Measured};
+use self::child::{Ended, Job, Measured};
 use self::source::Source;
 use super::threads_parser;
-use super::{Context, Outcome as Answer, parse_count, parse_some, print_json, refuse_input};
+use super::{
+    Context, Outcome as Answer, one_line, parse_count, parse_some, print_json, refuse_input,
+};
 
 /// Show what each setting of a build costs and buys: time, memory, size, error
 #[derive(Debug, clap::Args)]
@@ -172,7 +174,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let drawn = limits.run(|| Sample::draw(&truth, &points, (args.pairs, args.seed), watch))?;
     let sample = drawn.map_err(|e| source.named(e))?;
     let subject = Subject {
-        name: args.source.display().to_string(),
+        name: one_line(&args.source.display().to_string()),
         n_points: view.summary().n_points,
         seed: args.seed,
         n_drawn: sample.n_drawn(),
@@ -217,7 +219,7 @@ fn sweep(args: &Args) -> Result<Sweep, Error> {
     let names = if args.config.is_empty() { &default[..] } else { &args.config };
     let named = |path: &PathBuf| {
         let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        Ok::<_, Error>((super::one_line(&name), RawConfig::find(path)?))
+        Ok::<_, Error>((one_line(&name), RawConfig::find(path)?))
     };
     Sweep::of(&names.iter().map(named).collect::<Result<Vec<_>, _>>()?, &axes)
 }
@@ -244,7 +246,8 @@ fn measure_all(
         watch.check()?;
         watch.note(&format!("{} of {}: {}", i + 1, settings.len(), setting.name));
         let map = source.file(&format!("{i}.vmap"));
-        let outcome = match child::build_often(args, setting, source, &map, watch)? {
+        let job = Job { args, setting, source, map: &map };
+        let outcome = match child::build_often(&job, watch)? {
             Ended::Stopped => Outcome::Stopped(args.limit as f64),
             Ended::Refused(why) => Outcome::Refused(why),
             Ended::Built(measured) => {

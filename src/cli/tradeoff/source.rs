@@ -43,7 +43,7 @@ impl Source {
         let folder = tempfile::Builder::new()
             .prefix("pvmap-")
             .tempdir()
-            .map_err(|e| StoreError::io(Path::new("."), "make a temporary folder in", e))?;
+            .map_err(|e| StoreError::io(&std::env::temp_dir(), "make a folder in", e))?;
         let kind = kind_of(args)?;
         let octree = match kind {
             None if args.source.is_dir() => args.source.clone(),
@@ -53,7 +53,9 @@ impl Source {
         if let Some(truth) = &args.truth {
             watch.stage("truth", None, "triangles");
             let mesh = read_mesh(truth, limits.memory_bytes)?.mesh;
-            surfaces = Some((Scene::of_mesh(&mesh, args.seed), Judge::Triangles));
+            let scene = Scene::of_mesh(&mesh, args.seed);
+            watch.advance(scene.n_surfaces() as u64);
+            surfaces = Some((scene, Judge::Triangles));
         }
         let scan = match kind {
             None => args.source.clone(),
