@@ -122,18 +122,20 @@ fn panel(svg: &mut String, rows: &[Row], spots: &[Spot<'_>], clock: Clock, wish:
     text(svg, [left - 48.0, above - 14.0], "subtitle", "start", "pairs answered wrongly");
     let place =
         |built: &Built| [x.at(built.seconds.max(1e-3)), y.at(100.0 * built.error().value())];
-    if let Some(t) = wished(true) {
-        stroke(svg, "wish", [x.at(t), above], [x.at(t), above + height]);
-    }
-    if let Some(e) = wished(false) {
-        stroke(svg, "wish", [left, y.at(100.0 * e)], [left + width, y.at(100.0 * e)]);
-    }
     let chosen = wish.and_then(|wish| choose(rows, wish)).map(|choice| choice.row);
     let mut taken: Vec<[f64; 4]> = spots.iter().map(|s| around(place(s.built))).collect();
     taken.extend(spots.iter().map(|s| {
         let ([x, _], [low, high]) = (place(s.built), s.built.error().interval());
         [x - 1.0, y.at(100.0 * high), x + 1.0, y.at(100.0 * low)]
     }));
+    if let Some(at) = wished(true).map(|t| x.at(t)) {
+        stroke(svg, "wish", [at, above], [at, above + height]);
+        taken.push([at - 1.0, above, at + 1.0, above + height]);
+    }
+    if let Some(at) = wished(false).map(|e| y.at(100.0 * e)) {
+        stroke(svg, "wish", [left, at], [left + width, at]);
+        taken.push([left, at - 1.0, left + width, at + 1.0]);
+    }
     let front = spots.iter().filter(|s| s.is_front).map(|s| place(s.built)).collect();
     taken.extend(steps(svg, front));
     for spot in spots {
@@ -212,7 +214,7 @@ fn name(
             .map(|(is_right, off)| (is_right, [x, y + off]))
     });
     let box_of = |(is_right, [x, y]): (bool, [f64; 2])| {
-        let begin = if is_right { x + 9.0 } else { x - 9.0 - width };
+        let begin = if is_right { x + 11.0 } else { x - 11.0 - width };
         [begin, y - 7.0, begin + width, y + 7.0]
     };
     let meets =
@@ -228,7 +230,7 @@ fn name(
     let beside = (true, [x, y]);
     let ((is_right, [at_x, at_y]), area) =
         places.find(|(_, area)| is_free(area)).unwrap_or((beside, box_of(beside)));
-    let (edge, anchor) = if is_right { (at_x + 9.0, "start") } else { (at_x - 9.0, "end") };
+    let (edge, anchor) = if is_right { (at_x + 11.0, "start") } else { (at_x - 11.0, "end") };
     if (at_y - y).abs() > 1.5 * LETTER[0] {
         stroke(svg, "leader", [x, y], [edge, at_y]);
     }

@@ -65,7 +65,7 @@ impl Built {
     }
 
     /// Gives what a pair took to answer, on average: both places found, then the pair; read from
-    /// the file by one thread.
+    /// the file by one thread, in seconds of the clock that it was asked by.
     pub fn query_seconds(&self) -> f64 {
         self.tally.seconds / self.tally.n_pairs.max(1) as f64
     }

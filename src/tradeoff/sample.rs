@@ -6,12 +6,14 @@ use fastrand::Rng;
 use pvmap_query::exact::{Exact, ExactOptions};
 use pvmap_query::{Map, Place};
 use pvmap_scene::Scene;
-use pvmap_store::Watch;
+use pvmap_store::{Watch, memory};
 use pvmap_vmap::OctreeView;
 use rayon::prelude::*;
 
 use crate::accuracy::{self, CHUNK_PAIRS, ScanPoint, ScanPoints, Tally, Verdict, Way};
 use crate::{Error, build};
+
+use super::Clock;
 
 /// What judges pairs.
 #[derive(Debug, Clone, Copy)]
@@ -119,20 +121,28 @@ impl Sample {
         self.pairs.iter().filter(|(_, sees)| *sees).count() as u64
     }
 
-    /// Asks a map about all pairs, one after the other.
+    /// Asks a map about all pairs, one after the other; the seconds are those of the clock.
     ///
     /// # Errors
     /// Where the map is damaged or the run is asked to stop.
-    pub fn ask(&self, map: &Map<'_>, watch: &dyn Watch) -> Result<Tally, Error> {
+    pub fn ask(&self, map: &Map<'_>, clock: Clock, watch: &dyn Watch) -> Result<Tally, Error> {
+        let begin = Instant::now();
+        let seconds = || match clock {
+            Clock::Wall => begin.elapsed().as_secs_f64(),
+            // Where the system does not tell, the seconds that went by are the most it can be.
+            Clock::Processor => {
+                memory::thread_seconds().unwrap_or_else(|| begin.elapsed().as_secs_f64())
+            }
+        };
         watch.stage("query", Some(self.n_facing()), "pairs");
         let mut way = Way::leaves(map);
         let mut tally = Tally { name: way.name, ..Tally::default() };
         for pairs in self.pairs.chunks(CHUNK_PAIRS as usize) {
             watch.check()?;
-            let started = Instant::now();
+            let started = seconds();
             let replies: Vec<_> =
                 pairs.iter().map(|([a, b], _)| way.reply(a, b)).collect::<Result<_, _>>()?;
-            tally.seconds += started.elapsed().as_secs_f64();
+            tally.seconds += seconds() - started;
             for ((_, sees), reply) in pairs.iter().zip(replies) {
                 tally.count(Verdict { faces: true, sees: *sees }, reply);
             }

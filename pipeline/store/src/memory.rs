@@ -1,4 +1,4 @@
-//! What a run holds and what a disk has left.
+//! What a run holds, what a thread took and what a disk has left.
 
 use std::path::Path;
 
@@ -15,6 +15,14 @@ pub fn rss_anon_bytes() -> Option<u64> {
     let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"))?;
     let kib: u64 = line.trim().strip_suffix(" kB")?.trim().parse().ok()?;
     Some(kib << 10)
+}
+
+/// Reads the processor time that the calling thread took so far, seconds. `None` where the system
+/// does not tell.
+pub fn thread_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    let nanoseconds: u64 = text.split_whitespace().next()?.parse().ok()?;
+    Some(nanoseconds as f64 * 1e-9)
 }
 
 /// Reads how many bytes the disk under a path to be made has left for this user.

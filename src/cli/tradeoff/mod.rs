@@ -182,7 +182,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
         n_facing: sample.n_facing(),
         n_visible: sample.n_visible(),
         judge,
-        clock: if args.cpu { Clock::Processor } else { Clock::Wall },
+        clock: clock_of(args),
     };
     if subject.n_facing == 0 {
         return Err(nothing_to_ask(&subject).into());
@@ -201,6 +201,10 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
         Err(e) => return Err(e.into()),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn clock_of(args: &Args) -> Clock {
+    if args.cpu { Clock::Processor } else { Clock::Wall }
 }
 
 /// Lists the settings that were asked for.
@@ -277,7 +281,7 @@ fn ask(
 ) -> Result<Built, Error> {
     let bytes = Mapped::open(path)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(path, e))?;
-    let tally = sample.ask(&map, watch).map_err(|e| match e {
+    let tally = sample.ask(&map, clock_of(args), watch).map_err(|e| match e {
         Error::Query(e) => Error::of_query(path, e),
         e => e,
     })?;
