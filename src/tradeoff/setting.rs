@@ -1,9 +1,9 @@
 //! Settings: configurations with short names, and lists of them.
 
 use pvmap_geometry::disc::Profile;
-use pvmap_vmap::Shape;
+use pvmap_vmap::{Shape, Spacing};
 
-use crate::config::{PRESETS, RawConfig, RawProfile, RawTree};
+use crate::config::{PRESETS, RawConfig, RawProfile, RawSpacing, RawTree};
 use crate::{BuildConfig, Error};
 
 /// A configuration with a short name.
@@ -43,6 +43,14 @@ impl Setting {
             Profile::Paper => "paper",
         }
     }
+
+    /// Gives the word for where its half spacings come from.
+    pub fn spacing(&self) -> &'static str {
+        match self.config.spacing {
+            Spacing::Leaf => "leaf",
+            Spacing::Neighbors => "neighbors",
+        }
+    }
 }
 
 /// Values to try, an axis each; an empty axis keeps what a configuration says.
@@ -58,6 +66,8 @@ pub struct Axes {
     pub tree: Vec<RawTree>,
     /// Profiles.
     pub profile: Vec<RawProfile>,
+    /// Where half spacings come from.
+    pub spacing: Vec<RawSpacing>,
 }
 
 impl Axes {
@@ -71,6 +81,7 @@ impl Axes {
         let mut found = vec![RawConfig::default()];
         found = each(found, &self.tree, |raw, &v| raw.tree = Some(v));
         found = each(found, &self.profile, |raw, &v| raw.profile = Some(v));
+        found = each(found, &self.spacing, |raw, &v| raw.spacing = Some(v));
         found = each(found, &self.max_level, |raw, &v| raw.max_level = Some(v));
         found = each(found, &self.leaf_capacity, |raw, &v| raw.leaf_capacity = Some(v));
         each(found, &self.max_spread, |raw, &v| raw.max_spread = Some(v))
@@ -130,8 +141,9 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Goes from one configuration along one axis at a time: levels, capacities, a spread, the
-    /// paper's profile and tree, and both.
+    /// Goes from one configuration along one axis at a time: levels, capacities, a spread, spacings
+    /// of leaves around (with small leaves, too, which need them), the paper's profile and tree,
+    /// and both.
     ///
     /// # Errors
     /// Where the configuration is none.
@@ -142,6 +154,11 @@ impl Sweep {
             Axes { max_level: vec![5, 6, 7], ..Axes::default() },
             Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },
             Axes { max_spread: vec![3], ..Axes::default() },
+            Axes {
+                spacing: vec![RawSpacing::Neighbors],
+                leaf_capacity: vec![12, 25, 50],
+                ..Axes::default()
+            },
             Axes { profile: vec![RawProfile::Paper], ..Axes::default() },
             Axes { tree: vec![RawTree::Paper], ..Axes::default() },
             Axes {
@@ -183,14 +200,20 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
         RawProfile::Patch => ("patch", Profile::Patch),
         RawProfile::Paper => ("paper", Profile::Paper),
     };
+    let spacing = |spacing| match spacing {
+        RawSpacing::Leaf => ("leaf", Spacing::Leaf),
+        RawSpacing::Neighbors => ("neighbors", Spacing::Neighbors),
+    };
     let tree = over.tree.map(tree).filter(|t| t.1 != plain.tree);
     let profile = over.profile.map(profile).filter(|p| p.1 != plain.profile);
+    let spacing = over.spacing.map(spacing).filter(|s| s.1 != plain.spacing);
     let level = over.max_level.filter(|&v| v != plain.max_level);
     let capacity = over.leaf_capacity.filter(|&v| v != plain.leaf_capacity);
     let spread = over.max_spread.filter(|&v| v != plain.max_spread);
     [
         tree.map(|(word, _)| format!("tree {word}")),
         profile.map(|(word, _)| format!("profile {word}")),
+        spacing.map(|(word, _)| format!("spacing {word}")),
         level.map(|v| format!("level {v}")),
         capacity.map(|v| format!("capacity {v}")),
         spread.map(|v| format!("spread {v}")),
@@ -250,6 +273,7 @@ mod tests {
         assert!(differs(|c| c.max_level.into()) && differs(|c| c.leaf_capacity));
         assert!(differs(|c| c.max_spread.into()) && differs(|c| (c.tree == Shape::Paper).into()));
         assert!(differs(|c| (c.profile == Profile::Paper).into()));
+        assert!(differs(|c| (c.spacing == Spacing::Neighbors).into()));
         assert!(names(&sweep).contains(&"paper"), "{:?}", names(&sweep));
         let mut unique = names(&sweep);
         unique.sort_unstable();

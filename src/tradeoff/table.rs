@@ -7,7 +7,7 @@ use super::pareto::{Choice, Wish, choose, front};
 use super::{Built, Clock, Judge, Outcome, Row, Share, Subject};
 
 /// The names of the columns of the CSV.
-pub const CSV_HEADER: &str = "setting,mode,tree,profile,max_level,leaf_capacity,max_spread,\
+pub const CSV_HEADER: &str = "setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,\
 outcome,build_seconds,visibility_seconds,cpu_seconds,peak_rss_anon_bytes,leaves,links,map_bytes,\
 query_seconds,judge,facing_pairs,wrongly_visible,wrongly_visible_low,wrongly_visible_high,\
 wrongly_invisible,wrongly_invisible_low,wrongly_invisible_high,error,error_low,error_high,\
@@ -32,6 +32,7 @@ pub fn write_csv(
             setting.mode().to_owned(),
             setting.tree().to_owned(),
             setting.profile().to_owned(),
+            setting.spacing().to_owned(),
             setting.config.max_level.to_string(),
             setting.config.leaf_capacity.to_string(),
             setting.config.max_spread.to_string(),

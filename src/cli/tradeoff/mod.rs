@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::accuracy::ScanPoints;
-use pvmap::config::{RawConfig, RawProfile, RawTree};
+use pvmap::config::{RawConfig, RawProfile, RawSpacing, RawTree};
 use pvmap::query::Map;
 use pvmap::tradeoff::pareto::{Wish, choose, front};
 use pvmap::tradeoff::table::{self, CSV_HEADER};
@@ -37,8 +37,8 @@ the triangles of --truth, asked as pvmap accuracy asks them. Without either the 
 answer, as with pvmap query MAP pair --exact; that is a reference and not truth, and is called so.
 A scan file is ingested with default options; for others give the octree of pvmap ingest.
 
-Settings: without any of the options from --config to --max-spread, some ten settings around
-depth8, one changed at a time. With several values the settings are all combinations of them:
+Settings: without any of the options from --config to --spacing, some fifteen settings around
+depth8, most with one thing changed. With several values the settings are all combinations of them:
 --max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has it; with
 several configurations each of them is combined. A setting whose build takes longer than --limit
 is stopped, and told so.
@@ -119,6 +119,15 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     profile: Vec<RawProfile>,
+    /// Spacings to try: leaf, neighbors
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "FROM,…",
+        hide_possible_values = true
+    )]
+    spacing: Vec<RawSpacing>,
     /// Seconds that a build may take
     #[arg(long, default_value_t = 300, value_name = "SECONDS")]
     limit: u64,
@@ -215,6 +224,7 @@ fn sweep(args: &Args) -> Result<Sweep, Error> {
         max_spread: args.max_spread.clone(),
         tree: args.tree.clone(),
         profile: args.profile.clone(),
+        spacing: args.spacing.clone(),
     };
     if args.config.is_empty() && axes.is_empty() {
         return Sweep::around("depth8", &RawConfig::find(Path::new("depth8"))?);
@@ -375,6 +385,7 @@ fn as_json(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> Va
             "mode": setting.mode(),
             "tree": setting.tree(),
             "profile": setting.profile(),
+            "spacing": setting.spacing(),
             "max_level": setting.config.max_level,
             "leaf_capacity": setting.config.leaf_capacity,
             "max_spread": setting.config.max_spread,
