@@ -142,8 +142,8 @@ impl Sweep {
     }
 
     /// Goes from one configuration along one axis at a time: levels, capacities, a spread, spacings
-    /// of leaves around (with small leaves, too, which need them), the paper's profile and tree,
-    /// and both.
+    /// of leaves around (with small leaves, too, which need them), all three as `accurate` has
+    /// them, the paper's profile and tree, and both.
     ///
     /// # Errors
     /// Where the configuration is none.
@@ -157,6 +157,13 @@ impl Sweep {
             Axes {
                 spacing: vec![RawSpacing::Neighbors],
                 leaf_capacity: vec![12, 25, 50],
+                ..Axes::default()
+            },
+            // The preset `accurate`.
+            Axes {
+                spacing: vec![RawSpacing::Neighbors],
+                leaf_capacity: vec![25],
+                max_spread: vec![3],
                 ..Axes::default()
             },
             Axes { profile: vec![RawProfile::Paper], ..Axes::default() },
@@ -274,7 +281,11 @@ mod tests {
         assert!(differs(|c| c.max_spread.into()) && differs(|c| (c.tree == Shape::Paper).into()));
         assert!(differs(|c| (c.profile == Profile::Paper).into()));
         assert!(differs(|c| (c.spacing == Spacing::Neighbors).into()));
-        assert!(names(&sweep).contains(&"paper"), "{:?}", names(&sweep));
+        assert!(
+            names(&sweep).contains(&"paper") && names(&sweep).contains(&"accurate"),
+            "{:?}",
+            names(&sweep)
+        );
         let mut unique = names(&sweep);
         unique.sort_unstable();
         unique.dedup();
