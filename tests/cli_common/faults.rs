@@ -55,18 +55,11 @@ pub fn small() -> Bench {
     octree_of(3_000)
 }
 
-/// A build that takes at least some seconds: points amid the air see each other nearly all.
+/// A build that takes about a second or more: in a cave nearly every pair is looked at.
 pub fn long() -> Bench {
-    use std::fmt::Write as _;
     let bench = Bench::new();
-    let mut random = fastrand::Rng::with_seed(7);
-    let mut text = super::ply_header(200_000, &super::XYZ);
-    for _ in 0..200_000 {
-        let [x, y, z] = [0; 3].map(|_| random.f32());
-        writeln!(text, "{x} {y} {z}").unwrap();
-    }
-    bench.write("a.ply", text);
-    bench.line("ingest a.ply --normals none").ok();
+    bench.line("scene cave --points 50k -o a.ply").ok();
+    bench.line("ingest a.ply").ok();
     bench
 }
 
