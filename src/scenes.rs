@@ -7,7 +7,7 @@ use pvmap_geometry::{PointBatch, Positions};
 use pvmap_scan::{
     ColorRange, LasOptions, LasWriter, MeshMemory, MeshWriter, PlyColumns, PlyWriter,
 };
-use pvmap_scene::{Mesh, Sample, Scene};
+use pvmap_scene::{Defects, Mesh, Sample, Scan, Scene};
 use pvmap_store::Watch;
 use rayon::prelude::*;
 
@@ -27,6 +27,20 @@ pub struct SceneRequest {
     pub shuffle: bool,
 }
 
+impl SceneRequest {
+    /// Gives these points of a scene with defects.
+    pub fn with<'a>(&self, scene: &'a Scene, defects: &Defects) -> Scan<'a> {
+        let points = scene.points(self.n_points);
+        let points = if self.shuffle { points.shuffled() } else { points };
+        points.recorded(defects)
+    }
+
+    /// Gives these points of a scene as they are.
+    pub fn of<'a>(&self, scene: &'a Scene) -> Scan<'a> {
+        self.with(scene, &Defects::default())
+    }
+}
+
 enum Writer {
     Las(LasWriter),
     Ply(PlyWriter),
@@ -43,49 +57,57 @@ pub fn write(
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<(), Error> {
-    let mut scan = open(path, request.n_points)?;
+    write_scan(&request.of(scene), path, limits, watch)
+}
+
+/// Writes points with defects, as [`write()`] does; those without a normal have (0, 0, 0).
+///
+/// # Errors
+/// Those of [`write()`].
+pub fn write_scan(
+    points: &Scan<'_>,
+    path: &Path,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<(), Error> {
+    let mut scan = open(path, points.len())?;
     limits.run(|| {
-        scan.fill(scene, request, watch)?;
+        scan.fill(points, watch)?;
         scan.finish()
     })?
 }
 
-/// Writes points of a scene as [`write()`] does, and beside them its exact triangles as a PLY mesh,
+/// Writes points as [`write_scan()`] does, and beside them the scene's exact triangles as a PLY mesh,
 /// in its own metres. A scan that got its name has its truth: that gets its name first.
 ///
 /// # Errors
 /// Those of [`write()`], and where the scene has a sphere or the mesh cannot be written. Neither
 /// file is there then or, where the scan's last step failed, the truth alone.
 pub fn write_with_truth(
-    scene: &Scene,
-    request: &SceneRequest,
+    points: &Scan<'_>,
     [path, truth]: [&Path; 2],
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<(), Error> {
     // Both are begun before there is any work to lose.
-    let mut scan = open(path, request.n_points)?;
+    let mut scan = open(path, points.len())?;
     let file = MeshWriter::create(truth)?;
+    let mesh = points.scene().mesh();
     let (mesh, colors) =
-        scene.mesh().map_err(|source| Error::Scene { path: truth.to_path_buf(), source })?;
+        mesh.map_err(|source| Error::Scene { path: truth.to_path_buf(), source })?;
     limits.run(|| {
-        scan.fill(scene, request, watch)?;
+        scan.fill(points, watch)?;
         file.finish(mesh.corners(), mesh.triangles(), &colors)?;
         scan.finish()
     })?
 }
 
 impl Writer {
-    fn fill(
-        &mut self,
-        scene: &Scene,
-        request: &SceneRequest,
-        watch: &dyn Watch,
-    ) -> Result<(), Error> {
-        watch.stage("scene", Some(request.n_points), "points");
-        for first in (0..request.n_points).step_by(BLOCK_POINTS as usize) {
+    fn fill(&mut self, points: &Scan<'_>, watch: &dyn Watch) -> Result<(), Error> {
+        watch.stage("scene", Some(points.len()), "points");
+        for first in (0..points.len()).step_by(BLOCK_POINTS as usize) {
             watch.check()?;
-            let batch = batch(scene, request, first, BLOCK_POINTS.min(request.n_points - first));
+            let batch = batch_of(points, first, BLOCK_POINTS.min(points.len() - first));
             match self {
                 Writer::Las(w) => w.write(&batch)?,
                 Writer::Ply(w) => w.write(&batch)?,
@@ -128,8 +150,10 @@ fn open(path: &Path, n_points: u64) -> Result<Writer, Error> {
 
 /// Generates points `first..first + n` of a scene.
 pub fn batch(scene: &Scene, request: &SceneRequest, first: u64, n: u64) -> PointBatch {
-    let points = scene.points(request.n_points);
-    let points = if request.shuffle { points.shuffled() } else { points };
+    batch_of(&request.of(scene), first, n)
+}
+
+fn batch_of(points: &Scan<'_>, first: u64, n: u64) -> PointBatch {
     let samples: Vec<Sample> = (first..first + n).into_par_iter().map(|i| points.at(i)).collect();
     PointBatch {
         source: 0,

@@ -4,8 +4,9 @@
 //! spheres, each with a paint. The rooms are made of a few (`rooms`), the cave of some hundred
 //! thousand triangles around the void of an implicit field (`cave`, `noise`, `polygonise`); models
 //! that others have read from files stand in a room as statues (`mesh`).
-//! Points are sampled from the surfaces in the order of a scanner or shuffled (`points`); the
-//! truth is asked of the surfaces themselves (`truth`), never of the points.
+//! Points are sampled from the surfaces in the order of a scanner or shuffled (`points`), and may be
+//! recorded with noise, holes and wrong normals (`defects`); the truth is asked of the surfaces
+//! themselves (`truth`), never of the points.
 //!
 //! The room opens no file, prints nothing and knows nothing of grids, trees or maps. Points are
 //! the same bits on every host: they come from integer hashes, from + - × ÷ √ alone, and from no
@@ -15,6 +16,7 @@
 
 mod bvh;
 mod cave;
+mod defects;
 mod kind;
 mod mesh;
 mod noise;
@@ -28,6 +30,7 @@ mod shape;
 mod truth;
 mod vector;
 
+pub use defects::{Defects, HOLE_RADIUS, Scan};
 pub use kind::{SceneError, SceneKind};
 pub use mesh::{Mesh, Up};
 pub use points::{MOST_POINTS, Points, Sample};

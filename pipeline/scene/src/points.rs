@@ -46,7 +46,23 @@ impl Scene {
     }
 }
 
-impl Points<'_> {
+impl<'a> Points<'a> {
+    /// Gives the scene that is sampled.
+    pub(crate) fn scene(&self) -> &'a Scene {
+        self.scene
+    }
+
+    /// Gives what the chance of the points hangs on.
+    pub(crate) fn key(&self) -> u64 {
+        self.scene.key
+    }
+
+    /// Gives so many points of the same scene, in order if these are.
+    pub(crate) fn resized(&self, n: u64) -> Points<'a> {
+        let points = self.scene.points(n);
+        if self.order.is_some() { points.shuffled() } else { points }
+    }
+
     /// Counts the points.
     pub fn len(&self) -> u64 {
         self.n

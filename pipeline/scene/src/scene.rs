@@ -122,6 +122,13 @@ impl Scene {
         self.group_ends.len()
     }
 
+    /// Gives the least and the greatest x of the surfaces.
+    pub(crate) fn x_range(&self) -> [f64; 2] {
+        let bounds = || self.surfaces.iter().map(|s| s.shape.bounds());
+        let low = bounds().map(|b| b.0[0]).fold(f64::INFINITY, f64::min);
+        [low, bounds().map(|b| b.1[0]).fold(f64::NEG_INFINITY, f64::max)]
+    }
+
     /// Counts the surfaces.
     pub fn n_surfaces(&self) -> usize {
         self.surfaces.len()
