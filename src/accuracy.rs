@@ -8,7 +8,9 @@ use pvmap_query::exact::Exact;
 use pvmap_query::{ErrorKind, Map, Place, QueryError, Snap};
 use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
+use pvmap_vmap::bytes::FieldReader;
 use pvmap_vmap::octree::Placement;
+use pvmap_vmap::schema::{Column, ColumnType};
 use pvmap_vmap::{FormatError, OctreeView};
 use rayon::prelude::*;
 
@@ -235,6 +237,8 @@ pub struct ScanPoints<'a> {
     view: &'a OctreeView<'a>,
     path: &'a Path,
     placement: Placement,
+    /// Where a record has its number.
+    number: Column,
 }
 
 /// A point of an octree that was drawn.
@@ -242,6 +246,8 @@ pub struct ScanPoints<'a> {
 pub(crate) struct ScanPoint {
     /// Its place in the order of the octree.
     pub(crate) index: u64,
+    /// Its record in the scan.
+    pub(crate) record: u64,
     /// As a map is asked.
     pub(crate) place: Place,
     /// Its normal; zero where it has none or its side is not known.
@@ -266,7 +272,9 @@ impl<'a> ScanPoints<'a> {
             return Err(Error::Data(message));
         }
         let placement = Placement::new(view.schema(), view.frame().frame, view.sources());
-        Ok(ScanPoints { view, path, placement })
+        // A schema begins with position and record. [F-9]
+        let number = view.schema().columns()[1];
+        Ok(ScanPoints { view, path, placement, number })
     }
 
     /// Draws a point, see [`ScanPoints::at`].
@@ -303,7 +311,12 @@ impl<'a> ScanPoints<'a> {
         let has_normal = normal != [0.0; 3];
         let side = if point.key.oriented { normal } else { [0.0; 3] };
         let place = Place { position, normal: has_normal.then_some(normal) };
-        Ok(ScanPoint { index, place, side })
+        let mut number = FieldReader::new(&point.record[self.number.offset..]);
+        let record = match self.number.kind {
+            ColumnType::U64 => number.u64(),
+            _ => number.u32().into(),
+        };
+        Ok(ScanPoint { index, record, place, side })
     }
 }
 

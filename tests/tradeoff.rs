@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 use std::time::Duration;
 
-use cli_common::{Bench, Run, XYZ, info, noise_ply, ply_header};
+use cli_common::{Bench, Run, XYZ, count_of_class, info, noise_ply, ply_header};
 use pvmap::accuracy::ScanPoints;
 use pvmap::query::Map;
 use pvmap::query::exact::{Exact, ExactOptions};
@@ -136,33 +136,6 @@ fn a_reference_is_not_called_truth() {
     assert!(csv.contains(",reference,") && !csv.contains("truth"), "{csv}");
     let run = bench.line("tradeoff empty --points 2k --pairs 1k --max-level 3").ok();
     assert!(run.stdout.contains("truth: the exact geometry"), "{}", run.stdout);
-}
-
-/// Demands that a text is well-formed as far as it goes without a document type; counts elements
-/// of a class.
-fn count_of_class(svg: &str, class: &str) -> usize {
-    let mut open: Vec<&str> = Vec::new();
-    let mut n = 0;
-    for piece in svg.split('<').skip(1) {
-        let (tag, letters) = piece.split_once('>').unwrap();
-        for entity in letters.split('&').skip(1) {
-            let name = entity.split_once(';').unwrap().0;
-            assert!(["amp", "lt", "gt", "quot"].contains(&name), "{entity}");
-        }
-        if tag.starts_with("!--") {
-            assert!(tag.ends_with("--"), "{tag}");
-            continue;
-        }
-        assert!(tag.matches('"').count().is_multiple_of(2), "{tag}");
-        n += usize::from(tag.contains(&format!("class=\"{class}\"")));
-        match tag.strip_prefix('/') {
-            Some(name) => assert_eq!(open.pop(), Some(name)),
-            None if tag.ends_with('/') => {}
-            None => open.push(tag.split_whitespace().next().unwrap()),
-        }
-    }
-    assert!(open.is_empty(), "{open:?}");
-    n
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod build;
+mod defects;
 mod demo;
 mod exact;
 mod export;

@@ -7,6 +7,7 @@ use pvmap::scene::{MOST_POINTS, Mesh, Scene, SceneError, SceneKind, Up};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::{Error, Limits, Watch, is_input};
 
+use super::defects::DefectArgs;
 use super::{Context, Outcome, parse_count, read_mesh, refuse_input};
 
 /// Write a generated scene as a scan file, with normals and colours
@@ -24,12 +25,16 @@ A model is a PLY mesh, plain or packed by gzip. Points lie evenly by area on roo
 alike, with the normals of the model's vertices where it has some, else of its triangles, turned
 outward. A statue is 3 m long at its longest side, or less where several share the room.
 
-The same name, models, points, seed and order give the same bytes. LAS and LAZ hold places to
-0.1 mm.
+A scan is without defects unless some are asked for; pvmap tradeoff SCENE --defects measures what
+each of them costs.
+
+The same name, models, points, seed, order and defects give the same bytes. LAS and LAZ hold places
+to 0.1 mm.
 
 Examples:
   pvmap scene cave -o cave.ply
   pvmap scene furnished --points 20M --seed 7 -o room.las --shuffle
+  pvmap scene cave --noise 3mm --holes 5% --flip-normals 1% -o rough.laz
   pvmap scene cornell --model bunny.ply -o room.ply --truth room.mesh.ply
   pvmap scene cornell --model a.ply --model b.ply.gz --points 100k,50k,50k -o two.ply")]
 pub(super) struct Args {
@@ -69,6 +74,8 @@ pub(super) struct Args {
     /// Fill the room cornell with one large box
     #[arg(long)]
     packed: bool,
+    #[command(flatten)]
+    defects: DefectArgs,
     /// Write the exact triangles, too, as a PLY mesh (not of furnished)
     #[arg(long, value_name = "MESH.ply")]
     truth: Option<PathBuf>,
@@ -127,11 +134,12 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         }
     };
     let request = SceneRequest { n_points, shuffle: args.shuffle };
+    let points = request.with(&scene, &args.defects.defects());
     let (limits, watch) = (Limits::default(), &context.progress);
     match &args.truth {
-        None => scenes::write(&scene, &request, &args.output, &limits, watch)?,
+        None => scenes::write_scan(&points, &args.output, &limits, watch)?,
         Some(truth) => {
-            scenes::write_with_truth(&scene, &request, [&args.output, truth], &limits, watch)?;
+            scenes::write_with_truth(&points, [&args.output, truth], &limits, watch)?;
         }
     }
     Ok(ExitCode::SUCCESS)

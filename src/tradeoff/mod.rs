@@ -4,11 +4,13 @@
 //! is pairs of points that face each other, drawn and judged once, so that all maps are asked about
 //! the same pairs and differences are of settings, not of the draw. What a build took and how often
 //! its map was wrong is a [`Row`]; [`pareto`] says which rows no other beats, and which to take.
-//! [`table`] writes rows as text and CSV, [`plot`] draws them.
+//! [`table`] writes rows as text and CSV, [`plot`] draws them. [`defects`] does the same for scans
+//! of one scene that are worse and worse.
 //!
 //! Here no map is built: whoever measures a build gives it a process of its own (`pvmap tradeoff`
 //! runs `pvmap build`), so that its peak of memory is its own. Start reading at [`Sample::draw`].
 
+pub mod defects;
 pub mod pareto;
 pub mod plot;
 mod row;

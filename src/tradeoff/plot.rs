@@ -249,7 +249,7 @@ fn key(svg: &mut String, rows: &[Row], mut at: [f64; 2]) {
 }
 
 /// Writes a round number without needless zeros: 0.05, 2, 100.
-fn plain(v: f64) -> String {
+pub(super) fn plain(v: f64) -> String {
     let rounded = format!("{v:.6}");
     rounded.trim_end_matches('0').trim_end_matches('.').to_owned()
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use fastrand::Rng;
 use pvmap_query::exact::{Exact, ExactOptions};
 use pvmap_query::{Map, Place};
-use pvmap_scene::Scene;
+use pvmap_scene::{Scan, Scene};
 use pvmap_store::{Watch, memory};
 use pvmap_vmap::OctreeView;
 use rayon::prelude::*;
@@ -20,6 +20,9 @@ use super::Clock;
 pub enum Truth<'a> {
     /// Surfaces: of a generated scene, or triangles that were given.
     Surfaces(&'a Scene),
+    /// The surfaces of a generated scene, each point where it was before its scan spoiled it: the
+    /// octree is of that scan alone.
+    Recorded(&'a Scan<'a>),
     /// The points of the octree, one by one: a reference. [V-7]
     Points(Exact<'a, 'a>),
 }
@@ -43,6 +46,15 @@ impl<'a> Truth<'a> {
     fn judge(&self, pair: &[ScanPoint; 2]) -> Result<Option<Verdict>, Error> {
         match self {
             Truth::Surfaces(scene) => Ok(accuracy::judge(scene, &pair.map(|p| p.on(scene)))),
+            Truth::Recorded(scan) => {
+                let is_recorded = |p: &ScanPoint| p.record < scan.len();
+                if !pair.iter().all(is_recorded) {
+                    return Ok(None);
+                }
+                let [a, b] = [scan.truly(pair[0].record), scan.truly(pair[1].record)];
+                let (faces, sees) = (Scene::faces(&a, &b), scan.scene().sees(&a, &b));
+                Ok(Some(Verdict { faces, sees }))
+            }
             Truth::Points(exact) => {
                 let [a, b] = [exact.point(pair[0].index)?, exact.point(pair[1].index)?];
                 let found = exact.pair(&a, &b)?;

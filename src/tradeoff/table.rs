@@ -26,26 +26,31 @@ pub fn write_csv(
     writeln!(out, "{CSV_HEADER}")?;
     let mut writer = csv::Writer::from_writer(out);
     for (row, on_front) in rows.iter().zip(front(rows)) {
-        let setting = &row.setting;
-        let mut cells: Vec<String> = vec![
-            setting.name.clone(),
-            setting.mode().to_owned(),
-            setting.tree().to_owned(),
-            setting.profile().to_owned(),
-            setting.spacing().to_owned(),
-            setting.config.max_level.to_string(),
-            setting.config.leaf_capacity.to_string(),
-            setting.config.max_spread.to_string(),
-            outcome_word(&row.outcome).to_owned(),
-        ];
-        match row.built() {
-            Some(built) => cells.extend(cells_of(built, subject.judge)),
-            None => cells.extend(std::iter::repeat_n(String::new(), N_BUILT_CELLS)),
-        }
-        cells.push(on_front.to_string());
-        writer.write_record(&cells)?;
+        writer.write_record(cells(row, subject, on_front))?;
     }
     writer.flush()
+}
+
+/// Gives the cells of a row.
+pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String> {
+    let setting = &row.setting;
+    let mut cells: Vec<String> = vec![
+        setting.name.clone(),
+        setting.mode().to_owned(),
+        setting.tree().to_owned(),
+        setting.profile().to_owned(),
+        setting.spacing().to_owned(),
+        setting.config.max_level.to_string(),
+        setting.config.leaf_capacity.to_string(),
+        setting.config.max_spread.to_string(),
+        outcome_word(&row.outcome).to_owned(),
+    ];
+    match row.built() {
+        Some(built) => cells.extend(cells_of(built, subject.judge)),
+        None => cells.extend(std::iter::repeat_n(String::new(), N_BUILT_CELLS)),
+    }
+    cells.push(on_front.to_string());
+    cells
 }
 
 /// Cells between the outcome and the last.
@@ -156,7 +161,7 @@ fn figures(built: &Built) -> String {
 }
 
 /// Writes a share with its interval, in per cent: 0.31 (0.27 – 0.36).
-fn percent(share: Share) -> String {
+pub(super) fn percent(share: Share) -> String {
     let [low, high] = share.interval().map(|v| 100.0 * v);
     format!("{:.2} ({low:.2} – {high:.2})", 100.0 * share.value())
 }

@@ -343,3 +343,30 @@ pub fn needle(path: &Path) {
     let colors = vec![[0; 3]; triangles.len()];
     MeshWriter::create(path).unwrap().finish(&corners, &triangles, &colors).unwrap();
 }
+
+/// Demands that a text is well-formed as far as it goes without a document type; counts elements
+/// of a class.
+pub fn count_of_class(svg: &str, class: &str) -> usize {
+    let mut open: Vec<&str> = Vec::new();
+    let mut n = 0;
+    for piece in svg.split('<').skip(1) {
+        let (tag, letters) = piece.split_once('>').unwrap();
+        for entity in letters.split('&').skip(1) {
+            let name = entity.split_once(';').unwrap().0;
+            assert!(["amp", "lt", "gt", "quot"].contains(&name), "{entity}");
+        }
+        if tag.starts_with("!--") {
+            assert!(tag.ends_with("--"), "{tag}");
+            continue;
+        }
+        assert!(tag.matches('"').count().is_multiple_of(2), "{tag}");
+        n += usize::from(tag.contains(&format!("class=\"{class}\"")));
+        match tag.strip_prefix('/') {
+            Some(name) => assert_eq!(open.pop(), Some(name)),
+            None if tag.ends_with('/') => {}
+            None => open.push(tag.split_whitespace().next().unwrap()),
+        }
+    }
+    assert!(open.is_empty(), "{open:?}");
+    n
+}

@@ -1,6 +1,7 @@
 //! `pvmap tradeoff`: what each setting of a build costs, and how often its map is wrong.
 
 mod child;
+mod defects;
 mod source;
 
 use std::io::{self, Write};
@@ -13,12 +14,13 @@ use pvmap::query::Map;
 use pvmap::tradeoff::pareto::{Wish, choose, front};
 use pvmap::tradeoff::table::{self, CSV_HEADER};
 use pvmap::tradeoff::{
-    Axes, Built, Clock, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
+    Axes, Built, Clock, Judge, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
 };
 use pvmap::{Error, Limits, Mapped, StoreError, TableFile, Watch, begin_table, is_stdout};
 use serde_json::{Value, json};
 
 use self::child::{Ended, Job, Measured};
+use self::defects::DefectArgs;
 use self::source::Source;
 use super::threads_parser;
 use super::{
@@ -57,6 +59,14 @@ marks settings that no other beats in both, seconds and error. --want recommends
 them: for an error the quickest whose interval ends below it, for a time the most accurate that
 keeps it. Where there is none, the line says which comes nearest; the exit code is 0 all the same.
 
+Defects: with any of --defects to --estimate-normals a generated scene is scanned several times,
+first as it is and then with each value of each defect by itself, and the settings (without --config
+depth8 and accurate) are tried on every scan. Truth is asked where a point was before its defect; so
+a map is wrong, too, where noise moved a point out of sight or its normal has the wrong sign. With
+--uneven the number of points stays, with --holes those in balls are missing. Without
+--estimate-normals points have the exact normals of their surfaces, however noisy they are; those
+that have none are estimated. The plot has a panel a defect and a line a setting.
+
 The same seed gives the same pairs, and the same counts on any machine; seconds and memory are those
 of this one. Ctrl-C prints what is measured so far; files are then not written. Maps and what is
 generated lie in the system's folder for temporary files (TMPDIR) until the end.
@@ -65,6 +75,7 @@ Examples:
   pvmap tradeoff furnished
   pvmap tradeoff cave --points 1M --svg cave.svg --csv cave.csv --want error=1%
   pvmap tradeoff grotto.octree --max-level 6,7,8 --leaf-capacity 25,50,100 --limit 600
+  pvmap tradeoff furnished --noise 1mm,3mm,1cm --holes 5%,20% --csv rough.csv --svg rough.svg
   pvmap tradeoff room.ply --truth room.mesh.ply --config depth8,paper,mine.toml --want time=30s")]
 pub(super) struct Args {
     /// A scene to generate, a scan file, or an octree, as pvmap ingest
@@ -164,15 +175,17 @@ pub(super) struct Args {
     /// Most memory of a build or of the triangles
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
+    #[command(flatten, next_help_heading = "Defects of a generated scan")]
+    defects: DefectArgs,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Answer {
-    let sweep = sweep(args)?;
-    if args.pairs > Sample::MAX_PAIRS {
-        let message = format!("--pairs: {}, the most are {}", args.pairs, Sample::MAX_PAIRS);
-        return Err(Error::Usage(message).into());
+    if args.defects.are_asked_for() {
+        return defects::run(args, context);
     }
-    let outputs = Outputs::begin(args)?;
+    let sweep = sweep(args)?;
+    check_pairs(args)?;
+    let outputs = Outputs::begin(args, CSV_HEADER)?;
     let watch = &context.progress;
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
     let source = Source::find(args, &limits, watch)?;
@@ -182,24 +195,15 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let points = ScanPoints::new(&view, source.octree())?;
     let drawn = limits.run(|| Sample::draw(&truth, &points, (args.pairs, args.seed), watch))?;
     let sample = drawn.map_err(|e| source.named(e))?;
-    let subject = Subject {
-        name: one_line(&args.source.display().to_string()),
-        n_points: view.summary().n_points,
-        seed: args.seed,
-        n_drawn: sample.n_drawn(),
-        n_left_out: sample.n_left_out(),
-        n_facing: sample.n_facing(),
-        n_visible: sample.n_visible(),
-        judge,
-        clock: clock_of(args),
-    };
-    if subject.n_facing == 0 {
-        return Err(nothing_to_ask(&subject).into());
-    }
+    let subject = subject(args, view.summary().n_points, &sample, judge)?;
     let mut rows = Vec::new();
     let measured = measure_all(args, &sweep.settings, &source, &sample, context, &mut rows);
     match measured {
-        Ok(()) => outputs.finish(args, &rows, &subject)?,
+        Ok(()) => outputs.finish(
+            |file| table::write_csv(file, &rows, &subject),
+            || plot::draw(&rows, &subject, args.want),
+            || print(args, &rows, &subject, false),
+        )?,
         Err(Error::Store(StoreError::Interrupted)) if !rows.is_empty() => {
             // It may have taken an hour: what is known is told, but no file is there in part.
             if !outputs.are_stdout() {
@@ -212,30 +216,62 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     Ok(ExitCode::SUCCESS)
 }
 
+fn check_pairs(args: &Args) -> Result<(), Error> {
+    if args.pairs > Sample::MAX_PAIRS {
+        let message = format!("--pairs: {}, the most are {}", args.pairs, Sample::MAX_PAIRS);
+        return Err(Error::Usage(message));
+    }
+    Ok(())
+}
+
+/// Says what the pairs of a scan are.
+fn subject(args: &Args, n_points: u64, sample: &Sample, judge: Judge) -> Result<Subject, Error> {
+    let subject = Subject {
+        name: one_line(&args.source.display().to_string()),
+        n_points,
+        seed: args.seed,
+        n_drawn: sample.n_drawn(),
+        n_left_out: sample.n_left_out(),
+        n_facing: sample.n_facing(),
+        n_visible: sample.n_visible(),
+        judge,
+        clock: clock_of(args),
+    };
+    if subject.n_facing == 0 { Err(nothing_to_ask(&subject)) } else { Ok(subject) }
+}
+
 fn clock_of(args: &Args) -> Clock {
     if args.cpu { Clock::Processor } else { Clock::Wall }
 }
 
 /// Lists the settings that were asked for.
 fn sweep(args: &Args) -> Result<Sweep, Error> {
-    let axes = Axes {
+    if args.config.is_empty() && axes(args).is_empty() {
+        return Sweep::around("depth8", &RawConfig::find(Path::new("depth8"))?);
+    }
+    sweep_of(args, &["depth8"])
+}
+
+/// Lists the combinations of configurations, or those that stand for none, and values.
+fn sweep_of(args: &Args, default: &[&str]) -> Result<Sweep, Error> {
+    let default: Vec<PathBuf> = default.iter().map(PathBuf::from).collect();
+    let names = if args.config.is_empty() { &default } else { &args.config };
+    let named = |path: &PathBuf| {
+        let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        Ok::<_, Error>((one_line(&name), RawConfig::find(path)?))
+    };
+    Sweep::of(&names.iter().map(named).collect::<Result<Vec<_>, _>>()?, &axes(args))
+}
+
+fn axes(args: &Args) -> Axes {
+    Axes {
         max_level: args.max_level.clone(),
         leaf_capacity: args.leaf_capacity.clone(),
         max_spread: args.max_spread.clone(),
         tree: args.tree.clone(),
         profile: args.profile.clone(),
         spacing: args.spacing.clone(),
-    };
-    if args.config.is_empty() && axes.is_empty() {
-        return Sweep::around("depth8", &RawConfig::find(Path::new("depth8"))?);
     }
-    let default = [PathBuf::from("depth8")];
-    let names = if args.config.is_empty() { &default[..] } else { &args.config };
-    let named = |path: &PathBuf| {
-        let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        Ok::<_, Error>((one_line(&name), RawConfig::find(path)?))
-    };
-    Sweep::of(&names.iter().map(named).collect::<Result<Vec<_>, _>>()?, &axes)
 }
 
 fn nothing_to_ask(subject: &Subject) -> Error {
@@ -316,7 +352,7 @@ struct Outputs {
 }
 
 impl Outputs {
-    fn begin(args: &Args) -> Result<Outputs, Error> {
+    fn begin(args: &Args, csv_start: &'static str) -> Result<Outputs, Error> {
         let on_stdout = |path: &Option<PathBuf>| path.as_deref().is_some_and(is_stdout);
         let n_on_stdout = [args.json, on_stdout(&args.csv), on_stdout(&args.svg)];
         if n_on_stdout.into_iter().filter(|&is| is).count() > 1 {
@@ -333,7 +369,7 @@ impl Outputs {
         let begin = |path: &Option<PathBuf>, start| {
             path.as_deref().map(|path| begin_table(path, start, args.overwrite)).transpose()
         };
-        Ok(Outputs { csv: begin(&args.csv, CSV_HEADER)?, svg: begin(&args.svg, plot::START)? })
+        Ok(Outputs { csv: begin(&args.csv, csv_start)?, svg: begin(&args.svg, plot::START)? })
     }
 
     /// Says whether one of them is what standard output is for.
@@ -342,25 +378,29 @@ impl Outputs {
     }
 
     /// Writes them, and the answer where standard output is free for it.
-    fn finish(self, args: &Args, rows: &[Row], subject: &Subject) -> anyhow::Result<()> {
+    fn finish(
+        self,
+        csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+        drawing: impl FnOnce() -> String,
+        print: impl FnOnce() -> io::Result<()>,
+    ) -> anyhow::Result<()> {
         let is_free = !self.are_stdout();
         let mut closed = Vec::new();
         if let Some(mut file) = self.csv {
             let path = file.path().to_path_buf();
-            table::write_csv(&mut file, rows, subject).map_err(|e| failed(&path, e))?;
+            csv(&mut file).map_err(|e| failed(&path, e))?;
             closed.extend(file.close()?);
         }
         if let Some(mut file) = self.svg {
             let path = file.path().to_path_buf();
-            let drawing = plot::draw(rows, subject, args.want);
-            file.write_all(drawing.as_bytes()).map_err(|e| failed(&path, e))?;
+            file.write_all(drawing().as_bytes()).map_err(|e| failed(&path, e))?;
             closed.extend(file.close()?);
         }
         for file in closed {
             file.publish(false)?;
         }
         if is_free {
-            print(args, rows, subject, false)?;
+            print()?;
         }
         Ok(())
     }
@@ -378,7 +418,28 @@ fn print(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> io::
 }
 
 fn as_json(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> Value {
-    let settings = rows.iter().zip(front(rows)).map(|(row, on_front)| {
+    let choice = args.want.and_then(|wish| choose(rows, wish));
+    let recommended = choice
+        .map(|choice| json!({ "setting": rows[choice.row].setting.name, "is_met": choice.is_met }));
+    json!({
+        "source": subject.name,
+        "points": subject.n_points,
+        "seed": subject.seed,
+        "pairs": subject.n_drawn,
+        "left_out": subject.n_left_out,
+        "facing": subject.n_facing,
+        "visible": subject.n_visible,
+        "judge": subject.judge.word(),
+        "compared_by": subject.clock.column(),
+        "settings": rows_json(rows),
+        "want": args.want.map(|wish| wish.to_string()),
+        "recommended": recommended,
+        "stopped": is_stopped,
+    })
+}
+
+fn rows_json(rows: &[Row]) -> Vec<Value> {
+    let of_row = |(row, on_front): (&Row, bool)| {
         let setting = &row.setting;
         let mut value = json!({
             "setting": setting.name,
@@ -396,25 +457,8 @@ fn as_json(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> Va
             value.extend(built_json(built));
         }
         value
-    });
-    let choice = args.want.and_then(|wish| choose(rows, wish));
-    let recommended = choice
-        .map(|choice| json!({ "setting": rows[choice.row].setting.name, "is_met": choice.is_met }));
-    json!({
-        "source": subject.name,
-        "points": subject.n_points,
-        "seed": subject.seed,
-        "pairs": subject.n_drawn,
-        "left_out": subject.n_left_out,
-        "facing": subject.n_facing,
-        "visible": subject.n_visible,
-        "judge": subject.judge.word(),
-        "compared_by": subject.clock.column(),
-        "settings": settings.collect::<Vec<_>>(),
-        "want": args.want.map(|wish| wish.to_string()),
-        "recommended": recommended,
-        "stopped": is_stopped,
-    })
+    };
+    rows.iter().zip(front(rows)).map(of_row).collect()
 }
 
 fn built_json(built: &Built) -> serde_json::Map<String, Value> {

@@ -2,19 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use pvmap::scene::{MOST_POINTS, Scene, SceneKind};
+use pvmap::scene::{MOST_POINTS, Scan, Scene, SceneKind};
 use pvmap::scenes::{self, SceneRequest};
 use pvmap::tradeoff::{Judge, Truth};
 use pvmap::vmap::OctreeView;
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::{Error, IngestRequest, Limits, Mapped, StoreError, Watch};
+use pvmap::{Error, IngestRequest, Limits, Mapped, NormalsFrom, StoreError, Watch};
 use tempfile::TempDir;
 
 use super::super::read_mesh;
 use super::Args;
 
 /// Points of a generated scene, where none are asked for.
-const POINTS: u64 = 400_000;
+pub(super) const POINTS: u64 = 400_000;
 
 /// The octree that all settings are built of.
 pub(super) struct Source {
@@ -23,6 +23,11 @@ pub(super) struct Source {
     octree: PathBuf,
     /// The surfaces that are the truth, if there are any.
     surfaces: Option<(Scene, Judge)>,
+}
+
+fn folder() -> Result<TempDir, Error> {
+    let made = tempfile::Builder::new().prefix("pvmap-").tempdir();
+    Ok(made.map_err(|e| StoreError::io(&std::env::temp_dir(), "make a folder in", e))?)
 }
 
 /// Lists the files that are read.
@@ -40,10 +45,7 @@ impl Source {
     /// # Errors
     /// Where there is nothing of that name, or it or the truth cannot be read.
     pub(super) fn find(args: &Args, limits: &Limits, watch: &dyn Watch) -> Result<Source, Error> {
-        let folder = tempfile::Builder::new()
-            .prefix("pvmap-")
-            .tempdir()
-            .map_err(|e| StoreError::io(&std::env::temp_dir(), "make a folder in", e))?;
+        let folder = folder()?;
         let kind = kind_of(args)?;
         let octree = match kind {
             None if args.source.is_dir() => args.source.clone(),
@@ -73,6 +75,24 @@ impl Source {
             pvmap::ingest(&IngestRequest::new([scan], octree.clone()), limits, watch)?;
         }
         Ok(Source { folder, octree, surfaces })
+    }
+
+    /// Makes an octree of a scan with defects.
+    ///
+    /// # Errors
+    /// Where there is no room for it, or the run is asked to stop.
+    pub(super) fn of_scan(
+        points: &Scan<'_>,
+        normals: NormalsFrom,
+        limits: &Limits,
+        watch: &dyn Watch,
+    ) -> Result<Source, Error> {
+        let folder = folder()?;
+        let [scan, octree] = ["scan.ply", "scan.octree"].map(|name| folder.path().join(name));
+        scenes::write_scan(points, &scan, limits, watch)?;
+        let request = IngestRequest { normals, ..IngestRequest::new([scan], octree.clone()) };
+        pvmap::ingest(&request, limits, watch)?;
+        Ok(Source { folder, octree, surfaces: None })
     }
 
     pub(super) fn octree(&self) -> &Path {
@@ -118,7 +138,7 @@ impl Source {
 }
 
 /// Gives the scene that is meant, if a scene is: what is there goes by its own name.
-fn kind_of(args: &Args) -> Result<Option<SceneKind>, Error> {
+pub(super) fn kind_of(args: &Args) -> Result<Option<SceneKind>, Error> {
     let source = args.source.display();
     let kind = args.source.to_str().and_then(|name| name.parse::<SceneKind>().ok());
     let refuse = |message: String| Err(Error::Usage(message));
