@@ -97,3 +97,17 @@ fn quality_is_asked_of_octrees() {
         bench.line(&format!("info {name}.octree --quality")).ok();
     }
 }
+
+#[test]
+fn holes_show_in_the_rim() {
+    let bench = Bench::new();
+    let rim = |options: &str| {
+        bench.line(&format!("scene empty --points 60k {options} -o a.ply")).ok();
+        bench.line("ingest a.ply --overwrite").ok();
+        info(&bench, "a.octree --quality --sample 1M")["quality"]["rim_percent"].as_f64().unwrap()
+    };
+    // A closed room ends nowhere, however uneven its points are.
+    assert!(rim("") < 0.3 && rim("--uneven 9") < 3.0, "{} {}", rim(""), rim("--uneven 9"));
+    let [some, many] = ["--holes 5%", "--holes 20%"].map(rim);
+    assert!(some > 1.0 && many > 3.0 * some, "{some} {many}");
+}

@@ -30,6 +30,10 @@ points that normals are estimated from:
   coincident percent   points in whose place there is another
   thickness            how far points are from the plane through their neighbours: the median of the
                        root of the mean square. Noise, and with large spacing curves and edges
+  rim percent          points whose neighbors, seen in that plane, leave an angle of more than 120°
+                       without any: the rims of holes and of what was scanned, a point each spacing.
+                       None on a closed surface that is sampled evenly; some 6 where its points lie
+                       at random
   turned percent       of the points whose side is known those that face away from most of their
                        neighbours; many where faces of a wall are nearer than the spacing
   angles percent       between the normals of the file and those planes, whatever the side; where

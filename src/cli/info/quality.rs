@@ -29,6 +29,7 @@ pub(super) fn fields(quality: &Quality, summary: &OctreeSummary) -> Fields {
         ("thickness", thickness),
         ("thickness_of_spacing", part.map_or_else(none, |p| with_text(p, format!("{p:.3}")))),
     ];
+    fields.push(("rim_percent", percent(quality.n_rim, quality.n_inside_or_rim)));
     fields.extend(normals(&quality.normals, summary));
     fields
 }

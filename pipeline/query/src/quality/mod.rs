@@ -1,17 +1,20 @@
-//! What the points of a scan are like: how far apart they are, how noisy, and whether their normals
-//! go with them. Measured at a sample of points, each with the 16 nearest of all points.
+//! What the points of a scan are like: how far apart they are, how noisy, where they end, and whether
+//! their normals go with them. Measured at a sample of points, each with the 16 nearest of all points.
 //!
 //! A sample is one point of each of so many equally long pieces of the octree's order, so that it
 //! follows the points wherever they are, and is the same every time.
 
 mod neighbours;
+mod rim;
 
+use pvmap_geometry::GridPoint;
 use pvmap_geometry::normal::Normal;
 use pvmap_geometry::plane::Moments;
 use pvmap_vmap::{FormatError, OctreeView};
 use rayon::prelude::*;
 
 use self::neighbours::{K, Neighbourhood, Neighbours};
+use self::rim::is_at_rim;
 use crate::error::QueryError;
 
 /// Degrees of a class of angles.
@@ -41,6 +44,11 @@ pub struct Quality {
     /// root of their squared distances from it over n - 3, which for noise across a plane is its
     /// standard deviation. What is curved or an edge has thickness, too. None without a plane.
     pub thickness: Option<f64>,
+    /// Points of which can be said whether they are at a rim.
+    pub n_inside_or_rim: u64,
+    /// Those of them at a rim: their neighbours, seen in the plane through them, leave an angle of
+    /// more than 120° without any. It is as long as the holes and borders of what was sampled.
+    pub n_rim: u64,
     /// What of it concerns normals.
     pub normals: NormalQuality,
 }
@@ -94,6 +102,8 @@ struct Seen {
     spacing2: Option<u64>,
     /// Grid steps.
     thickness: Option<f64>,
+    /// Whether the surface ends here, as far as its points go.
+    is_at_rim: Option<bool>,
     angle_deg: Option<f64>,
     /// Whether it faces away from its neighbours, where sides are known.
     is_turned: Option<bool>,
@@ -143,11 +153,10 @@ fn look(
     let points = octree.points(index, 1)?;
     let point = points.iter().next().expect("one was asked for")?;
     let near = neighbours.around(point.key.g)?;
+    let offset = |g: GridPoint| [0, 1, 2].map(|i| i64::from(g[i]) - i64::from(point.key.g[i]));
+    let offsets: Vec<[i64; 3]> = near.points().map(|other| offset(other.g())).collect();
     let mut moments = Moments::default();
-    for other in near.points() {
-        let d = [0, 1, 2].map(|i| i64::from(other.g()[i]) - i64::from(point.key.g[i]));
-        moments.add(d, 1);
-    }
+    offsets.iter().for_each(|&d| moments.add(d, 1));
     let plane = moments.plane();
     let n_free = near.points().len().saturating_sub(N_ON_ANY_PLANE);
     let thickness = plane.filter(|_| n_free > 0).map(|p| (p.residual2 / n_free as f64).sqrt());
@@ -162,6 +171,7 @@ fn look(
         is_coincident: near.n_same_place() > 1,
         spacing2: near.spacing2(),
         thickness,
+        is_at_rim: plane.and_then(|plane| is_at_rim(&offsets, plane.normal)),
         angle_deg,
         is_turned: point.key.oriented.then(|| is_turned(index, point.key.normal, &near)).flatten(),
     })
@@ -195,6 +205,8 @@ fn sum(seen: &[Seen], unit: f64) -> Quality {
         n_coincident: count(&|s| s.is_coincident),
         spacing: (!spacings.is_empty()).then(|| [5, 50, 95].map(|q| quantile(&spacings, q))),
         thickness: (!thicknesses.is_empty()).then(|| quantile(&thicknesses, 50)),
+        n_inside_or_rim: count(&|s| s.is_at_rim.is_some()),
+        n_rim: count(&|s| s.is_at_rim == Some(true)),
         normals: NormalQuality {
             angles,
             median_deg: (!angles_deg.is_empty()).then(|| quantile(&angles_deg, 50)),

@@ -35,8 +35,27 @@ struct One {
     is_coincident: bool,
     spacing: Option<f64>,
     thickness: Option<f64>,
+    is_at_rim: Option<bool>,
     angle: Option<f64>,
     is_turned: Option<bool>,
+}
+
+/// Sorts the neighbours by the angle at which they are seen, and looks for the widest between two.
+fn is_at_rim(offsets: &[[f64; 3]], n: [f64; 3]) -> Option<bool> {
+    let axis = if n[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+    let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    };
+    let u = [0, 1, 2].map(|i| axis[i] - dot(axis, n) * n[i]);
+    let v = cross(n, u);
+    let flat = offsets.iter().filter(|d| dot(cross(**d, n), cross(**d, n)) > 1e-6);
+    let mut angles: Vec<f64> = flat.map(|d| dot(*d, v).atan2(dot(*d, u))).collect();
+    angles.sort_by(f64::total_cmp);
+    let round = angles.first()? + std::f64::consts::TAU;
+    let next = angles.iter().skip(1).chain([&round]);
+    let widest = angles.iter().zip(next).map(|(a, b)| b - a).fold(0.0, f64::max);
+    (angles.len() >= 8).then_some(widest.to_degrees() > 120.0 + 1e-7)
 }
 
 fn look(cloud: &[Key], i: usize) -> One {
@@ -66,6 +85,11 @@ fn look(cloud: &[Key], i: usize) -> One {
         is_coincident,
         spacing,
         thickness: plane.filter(|_| n_free > 0.0).map(|p| (p.residual2 / n_free).sqrt()),
+        is_at_rim: plane.and_then(|plane| {
+            let offset =
+                |&j: &usize| [0, 1, 2].map(|a| f64::from(cloud[j].g[a]) - f64::from(p.g[a]));
+            is_at_rim(&order.iter().map(offset).collect::<Vec<_>>(), plane.normal)
+        }),
         angle: angle.map(f64::to_degrees),
         is_turned: (!signs.is_empty()).then(|| signs.iter().sum::<i64>() < 0),
     }
@@ -87,6 +111,8 @@ fn look_at_all(cloud: &[Key]) -> Quality {
         n_coincident: count(&|one| one.is_coincident),
         spacing: quantiles[0].map(|_| quantiles.map(Option::unwrap)),
         thickness: quantile(&values(&|one| one.thickness), 50),
+        n_inside_or_rim: count(&|one| one.is_at_rim.is_some()),
+        n_rim: count(&|one| one.is_at_rim == Some(true)),
         normals: NormalQuality {
             angles: [0, 1, 2, 3, 4, 5].map(class),
             median_deg: quantile(&angles, 50),
@@ -99,7 +125,7 @@ fn look_at_all(cloud: &[Key]) -> Quality {
 #[test]
 fn all_points_of_small_clouds_are_measured_as_brute_force_does() {
     let mut rng = Rng::with_seed(90);
-    let (mut n_coincident, mut n_turned, mut n_angles) = (0, 0, 0);
+    let (mut n_coincident, mut n_turned, mut n_angles, mut n_rim) = (0, 0, 0, 0);
     for _ in 0..150 {
         let n = rng.usize(1..500);
         let cloud = sorted(random_cloud(&mut rng, n));
@@ -107,9 +133,10 @@ fn all_points_of_small_clouds_are_measured_as_brute_force_does() {
         assert_eq!(found, look_at_all(&cloud));
         n_coincident += found.n_coincident;
         n_turned += found.normals.n_turned;
+        n_rim += found.n_rim;
         n_angles += found.normals.n_angles();
     }
-    assert!(n_coincident > 100 && n_turned > 100 && n_angles > 10_000);
+    assert!(n_coincident > 100 && n_turned > 100 && n_angles > 10_000 && n_rim > 1000);
 }
 
 /// A floor of `n` by `n` points `step` apart, facing up.
@@ -143,6 +170,40 @@ fn noise_that_was_planted_is_the_thickness() {
         assert_eq!(found.thickness_of_spacing(), Some(thickness / spacing));
         assert!(found.normals.median_deg.unwrap() < 0.1 * sigma);
     }
+}
+
+/// Counts the points at the rim of a wall of `n` by `n` points in a jittered grid of `step`, without
+/// those of a disc of radius `r`; and all its points.
+fn rim_of_disc(n: u32, step: u32, r: f64) -> (u64, u64) {
+    let mut rng = Rng::with_seed(94);
+    let middle = f64::from(n * step) / 2.0;
+    let mut cloud = floor(n, step);
+    for key in &mut cloud {
+        key.g = [key.g[0] + rng.u32(..step), 1 << 20, key.g[1] + rng.u32(..step)];
+        key.normal = [0, 1 << 14, 0];
+    }
+    let distance = |key: &Key| (f64::from(key.g[0]) - middle).hypot(f64::from(key.g[2]) - middle);
+    cloud.retain(|key| distance(key) >= r);
+    let found = quality_of(cloud.clone(), u64::MAX);
+    assert_eq!(found.n_inside_or_rim, cloud.len() as u64);
+    (found.n_rim, cloud.len() as u64)
+}
+
+#[test]
+fn as_many_points_are_at_a_rim_as_it_is_long() {
+    // A border of four times 100 steps.
+    let (border, n) = rim_of_disc(100, 1000, 0.0);
+    assert_eq!(n, 10_000);
+    assert!((0.75..1.1).contains(&(border as f64 / 400.0)), "{border}");
+    for r_steps in [8.0, 16.0, 32.0] {
+        let (all, n) = rim_of_disc(100, 1000, 1000.0 * r_steps);
+        let (rim, length) = ((all - border) as f64, std::f64::consts::TAU * r_steps);
+        assert!((0.75..1.1).contains(&(rim / length)), "{rim} of {length}, {n} points");
+    }
+    // Twice as fine, the rim has twice as many points and all have four times.
+    let (all, n) = rim_of_disc(200, 500, 16_000.0);
+    assert!((0.75..1.1).contains(&(all as f64 / (800.0 + 2.0 * std::f64::consts::TAU * 16.0))));
+    assert!((n as f64 / 40_000.0 - 1.0 + 0.0804).abs() < 0.001, "{n}");
 }
 
 #[test]
