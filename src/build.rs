@@ -10,7 +10,7 @@ use pvmap_store::{Mapped, StoreError, Watch, WorkFolder};
 use pvmap_visibility::{BuildOptions, BuildReport, MapInput};
 use pvmap_vmap::container::Kind;
 use pvmap_vmap::octree::FILE_NAME;
-use pvmap_vmap::{FormatError, OctreeView};
+use pvmap_vmap::{FormatError, OctreeView, Tree};
 
 use crate::{BuildConfig, Error, Limits};
 
@@ -156,12 +156,24 @@ pub(crate) fn usual_nearness(
     memory_bytes: u64,
     watch: &dyn Watch,
 ) -> Result<ExactOptions, Error> {
-    let BuildConfig { max_level, leaf_capacity, max_spread, tree, profile, spacing, .. } =
-        BuildConfig::default();
-    let shape = tree;
-    let options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
-    let tree = cut(view, &options, cut_memory(memory_bytes), watch)?;
+    let tree = cut_tree(view, &BuildConfig::default(), memory_bytes, watch)?;
     let n_surfels = u32::try_from(tree.surfels.len()).expect("a tree has fewer than 2^32 nodes");
     let half_spacing = |id: u32| Ok(tree.surfels[id as usize].half_spacing);
     ExactOptions::usual_of(n_surfels, half_spacing)
+}
+
+/// Cuts an octree as a configuration says. Runs on the current rayon pool.
+///
+/// # Errors
+/// Where the octree is damaged, its tree outgrows the memory or the run is asked to stop.
+pub(crate) fn cut_tree(
+    view: &OctreeView<'_>,
+    config: &BuildConfig,
+    memory_bytes: u64,
+    watch: &dyn Watch,
+) -> Result<Tree, Error> {
+    let BuildConfig { max_level, leaf_capacity, max_spread, tree, profile, spacing, .. } = *config;
+    let shape = tree;
+    let options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
+    Ok(cut(view, &options, cut_memory(memory_bytes), watch)?)
 }

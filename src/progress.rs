@@ -3,7 +3,7 @@
 //! Stages only add to a counter; one thread looks at it now and then, draws, and samples memory.
 
 use std::collections::VecDeque;
-use std::io::{IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -157,6 +157,23 @@ impl Progress {
     pub(crate) fn take_stages(&self) -> Vec<StageDone> {
         self.shared.end_stage();
         std::mem::take(&mut lock(&self.shared.finished))
+    }
+
+    /// Stops the run when `input` ends: whoever holds its other end is gone.
+    pub(crate) fn end_with(&self, mut input: impl io::Read + Send + 'static) {
+        let shared = self.shared.clone();
+        let wait = move || {
+            // What cannot be read will not say more.
+            let _ = io::copy(&mut input, &mut io::sink());
+            let _ = shared.signal.compare_exchange(
+                0,
+                signal_hook::consts::SIGTERM as usize,
+                Ordering::Relaxed,
+                Ordering::Relaxed,
+            );
+        };
+        // Where there is no thread for it (F72), the run ends by itself.
+        let _ = std::thread::Builder::new().spawn(wait);
     }
 
     /// Forgets the stage at hand: it did not end, and the error says why.

@@ -77,8 +77,8 @@ pub fn write_scan(
     })?
 }
 
-/// Writes points as [`write_scan()`] does, and beside them the scene's exact triangles as a PLY mesh,
-/// in its own metres. A scan that got its name has its truth: that gets its name first.
+/// Writes points as [`write_scan()`] does, and beside them the scene's exact triangles as a PLY
+/// mesh, in its own metres. A scan that got its name has its truth: that gets its name first.
 ///
 /// # Errors
 /// Those of [`write()`], and where the scene has a sphere or the mesh cannot be written. Neither

@@ -83,7 +83,7 @@ fn counts_are_those_of_pvmap_accuracy() {
 #[test]
 fn the_same_seed_asks_the_same_pairs() {
     let bench = Bench::new();
-    let line = "tradeoff furnished --points 5k --pairs 3k --max-level 3,4 --json --seed";
+    let line = "tradeoff furnished --points 5k --pairs 3k --leaf-capacity 50,400 --json --seed";
     let answer = |seed: u32, threads: u32| {
         steady(json(&bench.line(&format!("{line} {seed} --threads {threads}")).ok()))
     };
@@ -154,8 +154,8 @@ fn outputs_have_a_row_and_a_mark_for_every_setting() {
         "preview",
         "--config",
         "paper",
-        "--max-level",
-        "2,3,4",
+        "--leaf-capacity",
+        "20,80,320",
         "--csv",
         "t.csv",
         "--svg",
@@ -194,7 +194,7 @@ fn outputs_have_a_row_and_a_mark_for_every_setting() {
     }
     let name_of = |row| cell(row, "setting");
     let names: Vec<_> = rows.iter().map(name_of).collect();
-    assert_eq!(names[..2], ["preview, level 2", "preview, level 3"]);
+    assert_eq!(names[..2], ["preview, capacity 20", "preview, capacity 80"]);
     // Own files are replaced, others are not.
     let run = bench.run([
         "tradeoff", scan, "--pairs", "1k", "--config", "a<&.toml", "--csv", "t.csv", "--svg",
@@ -357,4 +357,92 @@ fn what_cannot_be_asked_is_refused_in_one_line() {
     assert_eq!(before, b"a table of somebody\n");
     bench.line("tradeoff p.octree --pairs 500 --max-level 2 --csv other.csv --overwrite").ok();
     assert_ne!(bench.read("other.csv"), before);
+}
+
+/// Finds the process that another one started, if it runs.
+fn child_of(parent: u32) -> Option<u32> {
+    let pids = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut pids = pids.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    pids.find(|&pid| is_running(pid).is_some_and(|of| of == parent))
+}
+
+/// Gives the parent of a process that has not ended.
+fn is_running(pid: u32) -> Option<u32> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // Source: proc(5).
+    let mut fields = stat.rsplit(')').next()?.split_whitespace();
+    let state = fields.next()?;
+    let parent = fields.next()?.parse().ok()?;
+    (state != "Z").then_some(parent)
+}
+
+#[test]
+fn a_build_ends_with_the_sweep_that_started_it() {
+    let bench = Bench::new();
+    noise(&bench);
+    std::fs::create_dir(bench.path("temporary")).unwrap();
+    let mut command = bench.command(["tradeoff", "a.octree", "--pairs", "1k", "--progress", "off"]);
+    command.args(["--leaf-capacity", "50"]).env("TMPDIR", bench.path("temporary"));
+    let mut sweep = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let patience = |what: &str, mut found: Box<dyn FnMut() -> bool + '_>| {
+        let begun = std::time::Instant::now();
+        while !found() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let mut build = None;
+    patience(
+        "no build",
+        Box::new(|| {
+            build = child_of(sweep.id());
+            build.is_some()
+        }),
+    );
+    let build = build.unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(is_running(build).is_some());
+    // No signal that could be handed on.
+    sweep.kill().unwrap();
+    sweep.wait().unwrap();
+    patience("the build goes on", Box::new(|| is_running(build).is_none()));
+}
+
+#[test]
+fn settings_of_one_tree_are_built_once() {
+    let bench = packed();
+    // With so large leaves no cell is cut as far as either level.
+    let line = "tradeoff p.octree --truth p.mesh.ply --pairs 2k --leaf-capacity 2000 \
+                --max-level 7,9 --profile patch,paper --csv t.csv";
+    let answer = json(&bench.line(&format!("{line} --json")).ok());
+    let rows = answer["settings"].as_array().unwrap();
+    let outcomes: Vec<_> = rows.iter().map(|row| row["outcome"].as_str().unwrap()).collect();
+    assert_eq!(outcomes, ["built", "same", "built", "same"]);
+    let [first, second] = ["level 7, capacity 2000", "profile paper, level 7, capacity 2000"];
+    assert_eq!(rows[1]["why_not"], format!("as {first}"));
+    assert_eq!(rows[3]["why_not"], format!("as {second}"));
+    assert!(rows[1]["error"].is_null() && rows[1]["on_front"] == false);
+    let csv = String::from_utf8(bench.read("t.csv")).unwrap();
+    assert_eq!(csv.matches(",same,,,").count(), 2, "{csv}");
+    // They are what they are told to be.
+    for level in [7, 9] {
+        let build = format!("build p.octree --leaf-capacity 2000 --max-level {level}");
+        bench.line(&format!("{build} -o {level}.vmap")).ok();
+        bench.line(&format!("export {level}.vmap --links {level}.csv")).ok();
+    }
+    assert_eq!(bench.read("7.csv"), bench.read("9.csv"));
+    assert_eq!(info(&bench, "7.vmap")["links"], rows[0]["links"]);
+}
+
+#[test]
+fn what_would_take_far_too_long_is_not_begun() {
+    let bench = Bench::new();
+    noise(&bench);
+    // The first takes a second or so, the last would take an hour.
+    let line = "tradeoff a.octree --pairs 1k --leaf-capacity 100,1 --max-level 21 --limit 20";
+    let begun = std::time::Instant::now();
+    let run = bench.line(&format!("{line} --progress plain")).ok();
+    let row = run.stdout.lines().find(|l| l.contains("capacity 1 ")).unwrap();
+    assert!(row.contains("not begun: some ") && row.ends_with(" expected"), "{row}");
+    assert!(begun.elapsed() < Duration::from_secs(90), "{:?}", begun.elapsed());
 }

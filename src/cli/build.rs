@@ -111,9 +111,15 @@ pub(super) struct Args {
     /// Begin anew, and discard what an unfinished build left
     #[arg(long)]
     restart: bool,
+    /// Stop when standard input ends: with whoever started this build, whatever became of it
+    #[arg(long, hide = true)]
+    until_input_ends: bool,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    if args.until_input_ends {
+        context.progress.end_with(std::io::stdin());
+    }
     let flags = RawConfig {
         max_level: args.max_level,
         leaf_capacity: args.leaf_capacity,

@@ -3,7 +3,8 @@
 //! A [`Setting`] is a configuration with a short name; a [`Sweep`] is a list of them. A [`Sample`]
 //! is pairs of points that face each other, drawn and judged once, so that all maps are asked about
 //! the same pairs and differences are of settings, not of the draw. What a build took and how often
-//! its map was wrong is a [`Row`]; [`pareto`] says which rows no other beats, and which to take.
+//! its map was wrong is a [`Row`]; [`forecast`] what
+//! is known of it before; [`pareto`] says which rows no other beats, and which to take.
 //! [`table`] writes rows as text and CSV, [`plot`] draws them. [`defects`] does the same for scans
 //! of one scene that are worse and worse.
 //!
@@ -11,6 +12,7 @@
 //! runs `pvmap build`), so that its peak of memory is its own. Start reading at [`Sample::draw`].
 
 pub mod defects;
+pub mod forecast;
 pub mod pareto;
 pub mod plot;
 mod row;

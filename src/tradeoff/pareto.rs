@@ -130,7 +130,7 @@ mod tests {
     /// Rows of so many seconds and wrong answers of 10 000; the last was stopped.
     fn rows(figures: &[(f64, u64)]) -> Vec<Row> {
         let sweep = Sweep::around("depth8", &RawConfig::default()).unwrap();
-        let row = |outcome| Row { setting: sweep.settings[0].clone(), outcome };
+        let row = |outcome| Row { setting: sweep.settings[0].clone(), cut: None, outcome };
         let built = |&(seconds, n_wrong): &(f64, u64)| {
             let tally = Tally { n_pairs: 10_000, n_false_visible: n_wrong, ..Tally::default() };
             row(Outcome::Built(Built { seconds, tally, ..Built::default() }))

@@ -86,10 +86,13 @@ fn spots(rows: &[Row]) -> Vec<Spot<'_>> {
 
 /// Says what was not built, and what is recommended.
 fn below(rows: &[Row], wish: Option<Wish>) -> String {
-    let told = rows.iter().filter_map(|row| match &row.outcome {
-        Outcome::Built(_) => None,
-        Outcome::Stopped(seconds) => Some(format!("{}: stopped at {seconds} s", row.setting.name)),
-        Outcome::Refused(_) => Some(format!("{}: not built", row.setting.name)),
+    let told = rows.iter().filter_map(|row| {
+        let why = match &row.outcome {
+            // The whole reason is long.
+            Outcome::Refused(_) => "not built".to_owned(),
+            outcome => outcome.why_not()?,
+        };
+        Some(format!("{}: {why}", row.setting.name))
     });
     told.chain(wish.map(|wish| recommendation(rows, Some(wish)))).collect::<Vec<_>>().join("; ")
 }

@@ -3,12 +3,15 @@
 use crate::accuracy::{Tally, wilson};
 
 use super::Setting;
+use super::forecast::CutTree;
 
 /// A setting and what became of it.
 #[derive(Debug, Clone)]
 pub struct Row {
     /// The setting.
     pub setting: Setting,
+    /// The tree it cuts, where that fits the memory.
+    pub cut: Option<CutTree>,
     /// What it gave.
     pub outcome: Outcome,
 }
@@ -20,6 +23,10 @@ pub enum Outcome {
     Built(Built),
     /// Its build was stopped after so many seconds, as was wished.
     Stopped(f64),
+    /// It was not begun: it would take about so many seconds, far more than it may.
+    NotBegun(f64),
+    /// Its map is that of the setting of this name but for the record of its configuration.
+    Same(String),
     /// It cannot be built as wished: its tree outgrows the memory.
     Refused(String),
 }
@@ -76,8 +83,32 @@ impl Row {
     pub fn built(&self) -> Option<&Built> {
         match &self.outcome {
             Outcome::Built(built) => Some(built),
-            Outcome::Stopped(_) | Outcome::Refused(_) => None,
+            _ => None,
         }
+    }
+}
+
+impl Outcome {
+    /// Says in a few words why nothing was built.
+    pub fn why_not(&self) -> Option<String> {
+        match self {
+            Outcome::Built(_) => None,
+            Outcome::Stopped(seconds) => Some(format!("stopped at {seconds} s")),
+            Outcome::NotBegun(seconds) => {
+                Some(format!("not begun: some {} expected", span(*seconds)))
+            }
+            Outcome::Same(name) => Some(format!("as {name}")),
+            Outcome::Refused(why) => Some(format!("not built: {why}")),
+        }
+    }
+}
+
+/// Writes about how long something takes: 90 s, 40 min, 7 h.
+fn span(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.0} h", s / 3600.0),
     }
 }
 

@@ -81,6 +81,8 @@ pub fn outcome_word(outcome: &Outcome) -> &'static str {
     match outcome {
         Outcome::Built(_) => "built",
         Outcome::Stopped(_) => "stopped",
+        Outcome::NotBegun(_) => "not begun",
+        Outcome::Same(_) => "same",
         Outcome::Refused(_) => "refused",
     }
 }
@@ -111,14 +113,9 @@ pub fn text(rows: &[Row], subject: &Subject, wish: Option<Wish>) -> String {
     for (row, on_front) in rows.iter().zip(front(rows)) {
         let star = if on_front { '*' } else { ' ' };
         let _ = write!(text, "{star} {:<width$} ", row.setting.name);
-        match &row.outcome {
-            Outcome::Built(built) => text += &figures(built),
-            Outcome::Stopped(seconds) => {
-                let _ = write!(text, "stopped at {seconds} s");
-            }
-            Outcome::Refused(why) => {
-                let _ = write!(text, "not built: {why}");
-            }
+        match row.built() {
+            Some(built) => text += &figures(built),
+            None => text += &row.outcome.why_not().unwrap_or_default(),
         }
         text.push('\n');
     }

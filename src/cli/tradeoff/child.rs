@@ -85,8 +85,9 @@ fn build(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
     command.arg("build").arg(source.octree()).arg("-o").arg(map).arg("--config").arg(&config);
     command.arg("--threads").arg(args.threads.to_string());
     command.arg("--memory").arg(args.memory.to_string());
-    command.args(["--progress", "json"]);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    // Nothing is ever said to it: what it hears is that this process is no more, even if killed.
+    command.args(["--progress", "json", "--until-input-ends"]);
+    command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
     watch.stage("build", None, "pairs");
     let mut running = Running(command.spawn().map_err(fail)?);
     let lines = lines_of(&mut running.0);

@@ -173,7 +173,7 @@ fn measure(
         let sample = drawn.map_err(|e| source.named(e))?;
         let subject = subject(args, view.summary().n_points, &sample, Judge::Geometry)?;
         let mut rows = Vec::new();
-        let measured = measure_all(args, settings, &source, &sample, context, &mut rows);
+        let measured = measure_all(args, settings, (&source, &view), &sample, context, &mut rows);
         if !rows.is_empty() {
             cases.push(Case { defect, subject, rows });
         }

@@ -11,11 +11,13 @@ use std::process::ExitCode;
 use pvmap::accuracy::ScanPoints;
 use pvmap::config::{RawConfig, RawProfile, RawSpacing, RawTree};
 use pvmap::query::Map;
+use pvmap::tradeoff::forecast::{self, CutTree};
 use pvmap::tradeoff::pareto::{Wish, choose, front};
 use pvmap::tradeoff::table::{self, CSV_HEADER};
 use pvmap::tradeoff::{
     Axes, Built, Clock, Judge, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
 };
+use pvmap::vmap::OctreeView;
 use pvmap::{Error, Limits, Mapped, StoreError, TableFile, Watch, begin_table, is_stdout};
 use serde_json::{Value, json};
 
@@ -43,7 +45,8 @@ Settings: without any of the options from --config to --spacing, some fifteen se
 depth8, most with one thing changed. With several values the settings are all combinations of them:
 --max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has it; with
 several configurations each of them is combined. A setting whose build takes longer than --limit
-is stopped, and told so.
+is stopped, and one that would take far longer, by those built before it, is not begun. Settings
+that cut the same tree have the same map: it is built once, and the others' rows say as which.
 
 Columns, with 95 % intervals (Wilson):
   seconds              from the octree to the finished map; of several --runs the least
@@ -197,7 +200,8 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let sample = drawn.map_err(|e| source.named(e))?;
     let subject = subject(args, view.summary().n_points, &sample, judge)?;
     let mut rows = Vec::new();
-    let measured = measure_all(args, &sweep.settings, &source, &sample, context, &mut rows);
+    let measured =
+        measure_all(args, &sweep.settings, (&source, &view), &sample, context, &mut rows);
     match measured {
         Ok(()) => outputs.finish(
             |file| table::write_csv(file, &rows, &subject),
@@ -286,31 +290,56 @@ fn nothing_to_ask(subject: &Subject) -> Error {
 fn measure_all(
     args: &Args,
     settings: &[Setting],
-    source: &Source,
+    (source, view): (&Source, &OctreeView<'_>),
     sample: &Sample,
     context: &Context,
     rows: &mut Vec<Row>,
 ) -> Result<(), Error> {
     let watch = &context.progress;
+    let limits = Limits { threads: args.threads, memory_bytes: args.memory };
     for (i, setting) in settings.iter().enumerate() {
         watch.check()?;
         watch.note(&format!("{} of {}: {}", i + 1, settings.len(), setting.name));
         let map = source.file(&format!("{i}.vmap"));
+        let cut = limits.run(|| CutTree::of(view, setting, args.memory, watch))??;
+        let known = cut.and_then(|cut| foreseen(args, rows, setting, &cut, watch));
         let job = Job { args, setting, source, map: &map };
-        let outcome = match child::build_often(&job, watch)? {
-            Ended::Stopped => Outcome::Stopped(args.limit as f64),
-            Ended::Refused(why) => Outcome::Refused(why),
-            Ended::Built(measured) => {
-                let built = ask(args, &map, sample, measured, watch)?;
-                watch.note(&told(&setting.name, &built));
-                Outcome::Built(built)
-            }
+        let outcome = match known {
+            Some(outcome) => outcome,
+            None => match child::build_often(&job, watch)? {
+                Ended::Stopped => Outcome::Stopped(args.limit as f64),
+                Ended::Refused(why) => Outcome::Refused(why),
+                Ended::Built(measured) => {
+                    let built = ask(args, &map, sample, measured, watch)?;
+                    watch.note(&told(&setting.name, &built));
+                    Outcome::Built(built)
+                }
+            },
         };
         // Gone at the end in any case.
         let _ = std::fs::remove_file(&map);
-        rows.push(Row { setting: setting.clone(), outcome });
+        rows.push(Row { setting: setting.clone(), cut, outcome });
     }
     Ok(())
+}
+
+/// Says what becomes of a setting, where that is known without a build; else tells what to expect.
+fn foreseen(
+    args: &Args,
+    rows: &[Row],
+    setting: &Setting,
+    cut: &CutTree,
+    watch: &dyn Watch,
+) -> Option<Outcome> {
+    if let Some(row) = forecast::same_map(rows, setting, cut) {
+        return Some(Outcome::Same(row.setting.name.clone()));
+    }
+    let expected = forecast::expected_seconds(rows, setting, cut)?;
+    if forecast::is_hopeless(expected, args.limit) {
+        return Some(Outcome::NotBegun(expected));
+    }
+    watch.note(&format!("{} leaves, some {expected:.1} s expected", cut.n_leaves));
+    None
 }
 
 fn told(name: &str, built: &Built) -> String {
@@ -451,6 +480,7 @@ fn rows_json(rows: &[Row]) -> Vec<Value> {
             "leaf_capacity": setting.config.leaf_capacity,
             "max_spread": setting.config.max_spread,
             "outcome": table::outcome_word(&row.outcome),
+            "why_not": row.outcome.why_not(),
             "on_front": on_front,
         });
         if let (Some(value), Some(built)) = (value.as_object_mut(), row.built()) {

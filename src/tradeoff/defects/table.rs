@@ -5,9 +5,9 @@ use std::io::Write;
 use std::sync::LazyLock;
 
 use super::Case;
+use crate::tradeoff::Clock;
 use crate::tradeoff::pareto::front;
 use crate::tradeoff::table::{CSV_HEADER as SETTINGS_HEADER, cells, percent};
-use crate::tradeoff::{Clock, Outcome};
 
 /// The names of the columns of the CSV.
 pub static CSV_HEADER: LazyLock<String> =
@@ -81,8 +81,8 @@ pub fn text(cases: &[Case]) -> String {
             let (name, setting) = (case.name(), &row.setting.name);
             let n_points = case.subject.n_points;
             let _ = write!(text, "{name:<scans$} {setting:<settings$} {n_points:>9} ");
-            match &row.outcome {
-                Outcome::Built(built) => {
+            match row.built() {
+                Some(built) => {
                     let _ = write!(
                         text,
                         "{:>8.2} {:>8} {:>10}  {:<18} {:<18} {}",
@@ -94,12 +94,7 @@ pub fn text(cases: &[Case]) -> String {
                         percent(built.error())
                     );
                 }
-                Outcome::Stopped(seconds) => {
-                    let _ = write!(text, "stopped at {seconds} s");
-                }
-                Outcome::Refused(why) => {
-                    let _ = write!(text, "not built: {why}");
-                }
+                None => text += &row.outcome.why_not().unwrap_or_default(),
             }
             text.push('\n');
         }

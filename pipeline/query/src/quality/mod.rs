@@ -1,5 +1,6 @@
-//! What the points of a scan are like: how far apart they are, how noisy, where they end, and whether
-//! their normals go with them. Measured at a sample of points, each with the 16 nearest of all points.
+//! What the points of a scan are like: how far apart they are, how noisy, where they end, and
+//! whether their normals go with them. Measured at a sample of points, each with the 16 nearest of
+//! all points.
 //!
 //! A sample is one point of each of so many equally long pieces of the octree's order, so that it
 //! follows the points wherever they are, and is the same every time.

@@ -172,8 +172,8 @@ fn noise_that_was_planted_is_the_thickness() {
     }
 }
 
-/// Counts the points at the rim of a wall of `n` by `n` points in a jittered grid of `step`, without
-/// those of a disc of radius `r`; and all its points.
+/// Counts the points at the rim of a wall of `n` by `n` points in a jittered grid of `step`,
+/// without those of a disc of radius `r`; and all its points.
 fn rim_of_disc(n: u32, step: u32, r: f64) -> (u64, u64) {
     let mut rng = Rng::with_seed(94);
     let middle = f64::from(n * step) / 2.0;
