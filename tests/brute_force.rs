@@ -20,7 +20,7 @@ use pvmap::vmap::{MapView, OctreeView, Shape, Spacing, Split};
 use pvmap::{BuildConfig, Error, Limits, NormalsFrom, Orientation, Quiet};
 
 use crate::common::{
-    Cloud, build_with, contents, ingest_with, is_slow_run, on_threads, random_cloud,
+    Cloud, build_with, contents, ingest_with, is_slow_run, on_threads, random_cloud, rects,
 };
 use crate::model::{Leaf, Model, Status, holds_point};
 
@@ -116,7 +116,7 @@ fn random_config(rng: &mut Rng) -> BuildConfig {
         leaf_capacity: if rng.u8(..3) == 0 { 0 } else { rng.u64(1..=8) },
         max_spread: 2 * u16::from(max_level % 2),
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
-        profile: if rng.bool() { Profile::Patch } else { Profile::Paper },
+        profile: [Profile::Paper, Profile::Patch, Profile::Oriented][rng.usize(..3)],
         spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
         interaction: None,
     }
@@ -133,7 +133,7 @@ fn check_tree(seed: u64) -> Seen {
     let view = MapView::open(&bytes).unwrap();
     view.verify().unwrap();
     let (nodes, surfels, links) = contents(&view);
-    let model = Model::new(&nodes, &surfels, config.profile);
+    let model = Model::new(&nodes, &surfels, &rects(&view), config.profile);
     let note = format!("seed {seed}, {config:?}");
     check_cut(&octree, &model, &config, &note);
     let starts = model.sibling_pairs();
@@ -359,8 +359,9 @@ fn check_given(seed: u64) -> (u64, u64) {
     let octree = random_octree(&mut rng, folder.path(), &limits);
     let mut config = random_config(&mut rng);
     let whole = build_with(&octree, &config, &limits);
-    let (nodes, surfels, _) = contents(&MapView::open(&whole).unwrap());
-    let model = Model::new(&nodes, &surfels, config.profile);
+    let view = MapView::open(&whole).unwrap();
+    let (nodes, surfels, _) = contents(&view);
+    let model = Model::new(&nodes, &surfels, &rects(&view), config.profile);
     let (mut allowed, mut refused) = (0, 0);
     for _ in 0..12 {
         let pairs = random_pairs(&mut rng, &model);

@@ -14,8 +14,8 @@ use std::path::Path;
 use fastrand::Rng;
 use pvmap::Quiet;
 use pvmap::config::RawConfig;
-use pvmap::geometry::Box3;
 use pvmap::geometry::disc::{Disc, Profile, blocks};
+use pvmap::geometry::{Box3, Rect};
 use pvmap::open_octree;
 use pvmap::query::exact::{Disagreement, Exact, ExactOptions, LocatedPair, StoredPoint, compare};
 use pvmap::query::{Map, Place, Snap};
@@ -157,6 +157,7 @@ fn occluders(all: &[StoredPoint], p: &StoredPoint, q: &StoredPoint, delta_grid: 
         two_sided: !c.is_oriented(),
         radius2: u64::from(delta_grid).pow(2),
         limit: Box3 { min: [0; 3], max: [1 << 22; 3] },
+        rect: Rect::NONE,
     };
     let (p, q) = (disc(p), disc(q));
     let mut places = HashSet::new();

@@ -11,19 +11,30 @@ mod seal;
 #[path = "common/sound.rs"]
 mod sound;
 
+use std::sync::LazyLock;
+
 use fastrand::Rng;
-use pvmap::Error;
+use pvmap::geometry::disc::Profile;
+use pvmap::query::Map;
 use pvmap::vmap::links::put_varint;
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, Kind, MapView};
+use pvmap::{BuildConfig, Error};
 use rayon::prelude::*;
 
 use crate::common::{is_slow_run, on_threads};
 use crate::seal::{Parts, ROW, put, reseal_head};
 use crate::sound::{
-    BLOCK, Folder, N_MAP_SECTIONS, N_OCTREE_SECTIONS, SOUND, ask, check_answers, exit_code,
-    points_of, verify_map, verify_octree,
+    BLOCK, Folder, N_MAP_SECTIONS, N_OCTREE_SECTIONS, SOUND, artifacts, ask, check_answers,
+    exit_code, points_of, small_config, verify_map, verify_octree,
 };
+
+/// A small sound map of profile `oriented`.
+static ORIENTED: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let config = BuildConfig { profile: Profile::Oriented, ..small_config() };
+    artifacts(folder.path(), 900, &config).1
+});
 
 /// Values that break sums, products and casts.
 const EXTREMES: [u64; 12] = [
@@ -95,11 +106,14 @@ fn spoil(rng: &mut Rng, parts: &mut Parts) {
 #[test]
 fn f47_a_hostile_map_under_right_checksums_never_panics() {
     let n = if is_slow_run() { 100_000 } else { 4000 };
-    let parts = Parts::of(&SOUND.map, Kind::Map);
-    assert!(parts.seal() == SOUND.map, "taking apart and sealing changes nothing");
+    let maps = [&SOUND.map, &*ORIENTED].map(|map| {
+        let parts = Parts::of(map, Kind::Map);
+        assert!(parts.seal() == *map, "taking apart and sealing changes nothing");
+        parts
+    });
     let refused = (0..n).into_par_iter().map(|seed| {
         let mut rng = Rng::with_seed(seed);
-        let mut parts = parts.clone();
+        let mut parts = maps[seed as usize % 2].clone();
         (0..rng.usize(1..4)).for_each(|_| spoil(&mut rng, &mut parts));
         let hostile = parts.seal();
         for error in ask(&hostile).into_iter().filter_map(Result::err) {
@@ -109,6 +123,50 @@ fn f47_a_hostile_map_under_right_checksums_never_panics() {
     });
     let refused: u64 = refused.sum();
     assert!(refused > n / 2, "{refused} of {n} refused");
+}
+
+#[test]
+fn f22_rectangles_that_no_map_has_are_refused() {
+    verify_map(&ORIENTED).unwrap();
+    let sound = Parts::of(&ORIENTED, Kind::Map);
+    let refused = |change: &dyn Fn(&mut Parts)| {
+        let mut parts = sound.clone();
+        change(&mut parts);
+        let error = verify_map(&parts.seal()).expect_err("no rectangle of a map");
+        assert_eq!(exit_code(error), 65);
+    };
+    // A row: two axes, then the least and the greatest offset along each.
+    let values: [(usize, usize, u64); 8] = [
+        (0, 2, (1 << 14) + 1),
+        (12, 4, 0),
+        (12, 4, 1),
+        (12, 4, (-(1i32 << 25)) as u32 as u64),
+        (16, 4, 0),
+        (16, 4, u32::MAX.into()),
+        (24, 4, 1 << 25),
+        (20, 4, 0),
+    ];
+    for (at, len, value) in values {
+        refused(&|parts| put(parts.bytes_mut("rects"), 28 * 5 + at, value, len));
+    }
+    refused(&|parts| parts.bytes_mut("rects")[28 * 3..28 * 4].fill(0));
+    refused(&|parts| parts.bytes_mut("rects").truncate(28));
+    refused(&|parts| drop(parts.sections.pop()));
+    let profile = |name: &'static str| {
+        move |parts: &mut Parts| {
+            let config = parts.bytes_mut("config");
+            *config = String::from_utf8(config.clone()).unwrap().replace("oriented", name).into();
+        }
+    };
+    refused(&profile("patch"));
+    refused(&profile("tilted"));
+    // Nor has a map of another profile a name of this.
+    let mut parts = Parts::of(&SOUND.map, Kind::Map);
+    let config = String::from_utf8(parts.bytes_mut("config").clone()).unwrap();
+    *parts.bytes_mut("config") = config.replace("\"patch\"", "\"oriented\"").into();
+    let hostile = parts.seal();
+    assert_eq!(exit_code(verify_map(&hostile).unwrap_err()), 65);
+    assert!(Map::open(&hostile).is_err(), "a query of rectangles that are not there");
 }
 
 #[test]

@@ -10,7 +10,7 @@ mod model;
 use std::collections::BTreeSet;
 
 use cli_common::{Bench, Run, info, patch, ply_header, write_las};
-use common::{contents, is_slow_run};
+use common::{contents, is_slow_run, rects};
 use pvmap::geometry::disc::Profile;
 use pvmap::geometry::grid::GRID_MAX;
 use pvmap::geometry::{GridPoint, morton};
@@ -320,7 +320,7 @@ fn n16_n17_n46_any_size_that_a_double_has_gives_the_same_map() {
 fn check_by_brute_force(bench: &Bench, profile: Profile) -> [u64; 2] {
     bench.with_map("s.vmap", |view: &MapView<'_>| {
         let (nodes, surfels, links) = contents(view);
-        let model = model::Model::new(&nodes, &surfels, profile);
+        let model = model::Model::new(&nodes, &surfels, &rects(view), profile);
         let found = links.iter().map(|&(a, b)| (a as usize, b as usize));
         assert!(found.eq(model.links_from(&model.sibling_pairs())));
         assert_eq!(view.summary().n_visible_pairs, u128::from(model.n_visible()));

@@ -124,11 +124,12 @@ fn with_normals(
     }
 }
 
-/// Trees of some thousand leaves, of both shapes.
+/// Trees of some thousand leaves, of both shapes; one with rectangles.
 fn configs() -> [BuildConfig; 2] {
     let (max_level, leaf_capacity, max_spread) = (6, 10, 3);
     let binned = BuildConfig { max_level, leaf_capacity, max_spread, ..BuildConfig::default() };
-    let paper = BuildConfig { tree: Shape::Paper, max_level: 4, ..binned.clone() };
+    let (tree, profile) = (Shape::Paper, Profile::Oriented);
+    let paper = BuildConfig { tree, profile, max_level: 4, ..binned.clone() };
     [binned, paper]
 }
 

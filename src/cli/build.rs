@@ -83,8 +83,10 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     tree: Option<RawTree>,
-    /// How a surfel blocks: patch (as far as its points reach) or paper
-    /// (wherever its cell is met) [depth8: patch]
+    /// How a surfel blocks: patch (as far as its points reach along the
+    /// axes of the scan), oriented (and along its own surface: better where
+    /// surfaces are slanted) or paper (wherever its cell is met)
+    /// [depth8: patch]
     #[arg(long, value_enum, value_name = "HOW", verbatim_doc_comment, hide_possible_values = true)]
     profile: Option<RawProfile>,
     /// How far a patch goes beyond its points: half the spacing of the

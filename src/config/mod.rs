@@ -89,12 +89,14 @@ pub enum RawTree {
     Paper,
 }
 
-/// `profile = "patch" | "paper"`.
+/// `profile = "patch" | "oriented" | "paper"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum RawProfile {
     /// Discs cut to their points' box, transparent near their own ends.
     Patch,
+    /// The same, cut to a rectangle along their points' main axes, too.
+    Oriented,
     /// Discs wherever the segment meets their cell.
     Paper,
 }
@@ -213,6 +215,7 @@ impl RawConfig {
             profile: match self.profile {
                 None => defaults.profile,
                 Some(RawProfile::Patch) => Profile::Patch,
+                Some(RawProfile::Oriented) => Profile::Oriented,
                 Some(RawProfile::Paper) => Profile::Paper,
             },
             spacing: match self.spacing {

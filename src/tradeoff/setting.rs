@@ -40,6 +40,7 @@ impl Setting {
     pub fn profile(&self) -> &'static str {
         match self.config.profile {
             Profile::Patch => "patch",
+            Profile::Oriented => "oriented",
             Profile::Paper => "paper",
         }
     }
@@ -205,6 +206,7 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
     };
     let profile = |profile| match profile {
         RawProfile::Patch => ("patch", Profile::Patch),
+        RawProfile::Oriented => ("oriented", Profile::Oriented),
         RawProfile::Paper => ("paper", Profile::Paper),
     };
     let spacing = |spacing| match spacing {

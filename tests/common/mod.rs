@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use fastrand::Rng;
-use pvmap::geometry::{PointBatch, Positions};
+use pvmap::geometry::{PointBatch, Positions, Rect};
 use pvmap::scan::{ColorRange, LasOptions, LasWriter, PlyColumns, PlyWriter};
 use pvmap::scene::{Scene, SceneKind};
 use pvmap::vmap::tree::Nodes;
@@ -226,4 +226,9 @@ pub fn contents(view: &MapView<'_>) -> (Vec<Node>, Vec<Surfel>, Vec<(u32, u32)>)
     let lists = (0..view.n_link_blocks()).map(|i| view.link_lists(i).unwrap());
     let links = lists.flat_map(|l| l.iter().collect::<Vec<_>>()).collect();
     (nodes, surfels, links)
+}
+
+/// Gives the rectangles of a map; none where its profile has none.
+pub fn rects(view: &MapView<'_>) -> Vec<Rect> {
+    (0..view.summary().n_surfels).filter_map(|id| view.rect(id).unwrap()).collect()
 }

@@ -4,8 +4,8 @@
 
 use std::collections::BTreeSet;
 
-use pvmap::geometry::GridPoint;
 use pvmap::geometry::disc::Profile;
+use pvmap::geometry::{GridPoint, Rect};
 use pvmap::vmap::tree::RoutingKey;
 use pvmap::vmap::{Node, Spacing, Split, Surfel, Tree};
 
@@ -21,6 +21,8 @@ pub struct Disc {
     /// The closed cell, [g0, g0 + side].
     pub cell: (Vector, Vector),
     pub patch: (Vector, Vector),
+    /// Axes of length 2^14 with the least and the greatest offset along them, for `oriented`.
+    pub rect: Option<[(Vector, [i128; 2]); 2]>,
     pub half_spacing: i128,
     pub n_points: u64,
     pub bin: i8,
@@ -41,6 +43,7 @@ pub struct Model {
     pub nodes: Vec<Node>,
     pub surfels: Vec<Disc>,
     stored: Vec<Surfel>,
+    rects: Vec<Rect>,
     pub n_points: Vec<u64>,
     pub children: Vec<Vec<usize>>,
     /// The surfels under each node.
@@ -54,8 +57,9 @@ pub struct Model {
 }
 
 impl Model {
-    pub fn new(nodes: &[Node], surfels: &[Surfel], profile: Profile) -> Model {
-        let discs: Vec<Disc> = surfels.iter().map(disc).collect();
+    pub fn new(nodes: &[Node], surfels: &[Surfel], rects: &[Rect], profile: Profile) -> Model {
+        let of = |(i, surfel)| disc(surfel, rects.get(i));
+        let discs: Vec<Disc> = surfels.iter().enumerate().map(of).collect();
         let mut children = vec![Vec::new(); nodes.len()];
         for (id, node) in nodes.iter().enumerate().skip(1) {
             children[node.parent as usize].push(id);
@@ -92,6 +96,7 @@ impl Model {
             nodes: nodes.to_vec(),
             surfels: discs,
             stored: surfels.to_vec(),
+            rects: rects.to_vec(),
             n_points: nodes.iter().map(|n| n.n_points).collect(),
             children,
             leaves,
@@ -202,11 +207,12 @@ impl Model {
 
     /// Gives the tree as the rooms know it.
     pub fn tree(&self) -> Tree {
-        Tree { nodes: self.nodes.clone(), surfels: self.stored.clone() }
+        let (nodes, surfels) = (self.nodes.clone(), self.stored.clone());
+        Tree { nodes, surfels, rects: self.rects.clone() }
     }
 }
 
-fn disc(s: &Surfel) -> Disc {
+fn disc(s: &Surfel, rect: Option<&Rect>) -> Disc {
     let wide = |v: [i32; 3]| v.map(i128::from);
     // The cell's corner from its Morton code, bit by bit: bit 3·i + axis is bit i + 1 of the axis.
     let corner = [0, 1, 2].map(|axis| {
@@ -220,6 +226,11 @@ fn disc(s: &Surfel) -> Disc {
         radius2: i128::from(s.radius2),
         cell: (corner, corner.map(|c| c + side)),
         patch: (wide(s.patch.min), wide(s.patch.max)),
+        rect: rect.map(|rect| {
+            [0, 1].map(|i| {
+                (rect.axes[i].map(i128::from), [rect.low[i], rect.high[i]].map(i128::from))
+            })
+        }),
         half_spacing: i128::from(s.half_spacing),
         n_points: s.n_points,
         bin: s.bin,
@@ -267,10 +278,16 @@ fn blocks(profile: Profile, discs: &[Disc], (a, b): (usize, usize), k: usize) ->
     }
     match profile {
         Profile::Paper => meets(a.centroid, d, k.cell),
-        Profile::Patch => {
+        Profile::Patch | Profile::Oriented => {
+            let off = minus(x_over_s, k.centroid.map(|v| v * s));
+            let mut rect = k.rect.iter().flatten();
             (0..3).all(|i| k.patch.0[i] * s <= x_over_s[i] && x_over_s[i] <= k.patch.1[i] * s)
                 && distance2_over_s2(a.centroid) > a.radius2 * s * s
                 && distance2_over_s2(b.centroid) > b.radius2 * s * s
+                && rect.all(|&(axis, [low, high])| {
+                    let along = dot(axis, off);
+                    (low << 14) * s <= along && along <= (high << 14) * s
+                })
         }
     }
 }
@@ -392,18 +409,37 @@ impl Leaf {
         let radius2 = far.max().unwrap_or(0);
         let radius2 = match (profile, spacing) {
             (Profile::Paper, _) => radius2,
-            (Profile::Patch, Spacing::Leaf) => radius2.max(h * h),
-            (Profile::Patch, Spacing::Neighbors) => {
+            (_, Spacing::Leaf) => radius2.max(h * h),
+            (_, Spacing::Neighbors) => {
                 let root = radius2.isqrt();
                 (root + i128::from(root * root < radius2) + h).pow(2)
             }
         };
         assert_eq!(surfel.radius2, radius2, "radius: {note}");
+        self.check_rect(surfel, profile, note);
         let has_normal = |p: &&RoutingKey| p.normal != [0; 3];
         let n_normals = self.points.iter().filter(has_normal).count();
         assert!(n_normals > 0 || surfel.normal == [0; 3], "normal of none: {note}");
         let n_unoriented = self.points.iter().filter(has_normal).filter(|p| !p.oriented).count();
         assert!(n_unoriented == 0 || surfel.two_sided, "one side of unoriented: {note}");
+    }
+}
+
+impl Leaf {
+    /// Checks that every point lies in the rectangle of its own surfel, if that has one, three
+    /// halves of h from its sides, and some point no farther from each.
+    fn check_rect(&self, surfel: &Disc, profile: Profile, note: &str) {
+        let has_one = profile == Profile::Oriented && surfel.normal != [0; 3];
+        let axes = surfel.rect.filter(|rect| rect[0].0 != [0; 3]);
+        assert_eq!(axes.is_some(), has_one, "rectangle: {note}");
+        for (axis, [low, high]) in axes.into_iter().flatten() {
+            let margin = (3 * surfel.half_spacing + 1) / 2;
+            let along = |p: &RoutingKey| dot(axis, minus(p.g.map(i128::from), surfel.centroid));
+            let least = self.points.iter().map(along).min().unwrap_or(0).min(0);
+            let most = self.points.iter().map(along).max().unwrap_or(0).max(0);
+            let steps = |v: i128| v.div_euclid(1 << 14);
+            assert_eq!((low, high), (steps(least) - margin, margin - steps(-most)), "{note}");
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 
 use pvmap::vmap::container::{BLOCK_BYTES, Written, align, close, head_bytes};
+use pvmap::vmap::map::RECTS_SECTION;
 use pvmap::vmap::{Container, Kind};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -22,12 +23,12 @@ impl Parts {
     pub fn of(bytes: &[u8], kind: Kind) -> Parts {
         let file = Container::open(bytes, kind).unwrap();
         let names = match kind {
-            Kind::Map => pvmap::vmap::map::SECTIONS.as_slice(),
-            Kind::Octree => pvmap::vmap::octree::SECTIONS.as_slice(),
+            Kind::Map => [pvmap::vmap::map::SECTIONS.as_slice(), &[RECTS_SECTION]].concat(),
+            Kind::Octree => pvmap::vmap::octree::SECTIONS.to_vec(),
         };
-        let rows = file.sections().iter().zip(names);
+        let rows = file.sections().iter().filter(|s| s.name != "sums").zip(names);
         let sections = rows
-            .map(|(s, name)| (*name, s.record_bytes, file.read_all(s).unwrap().to_vec()))
+            .map(|(s, name)| (name, s.record_bytes, file.read_all(s).unwrap().to_vec()))
             .collect();
         Parts { kind, sections }
     }

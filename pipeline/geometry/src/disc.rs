@@ -9,6 +9,7 @@
 
 use crate::bounds::Box3;
 use crate::normal::Normal;
+use crate::rect::Rect;
 
 /// Which shape a surfel blocks with, and near whom it does not. Source: DESIGN.md [V-2].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,6 +18,8 @@ pub enum Profile {
     Paper,
     /// The disc within the patch box, beyond the discs of the two ends.
     Patch,
+    /// The same, within a rectangle in the disc's plane, too. [F-22]
+    Oriented,
 }
 
 /// What decides visibility of one surfel.
@@ -30,8 +33,10 @@ pub struct Disc {
     pub two_sided: bool,
     /// Squared radius as the profile uses it, grid steps².
     pub radius2: u64,
-    /// The box that limits the disc: the patch box (`patch`), or the closed cell (`paper`).
+    /// The box that limits the disc: the patch box, or the closed cell (`paper`).
     pub limit: Box3,
+    /// The rectangle that limits it (`oriented`); [`Rect::NONE`] for the others.
+    pub rect: Rect,
 }
 
 /// What a disc's plane does to a segment.
@@ -71,15 +76,20 @@ pub fn blocks(profile: Profile, a: &Disc, b: &Disc, k: &Disc) -> bool {
     }
     match profile {
         Profile::Paper => segment_meets(a.centroid, b.centroid, &k.limit),
-        Profile::Patch => {
-            let d2 = norm2(d);
-            (0..3).all(|i| {
-                let x = i64::from(a.centroid[i]) * s + h * d[i];
-                i64::from(k.limit.min[i]) * s <= x && x <= i64::from(k.limit.max[i]) * s
-            }) && square(h) * d2 > i128::from(a.radius2) * s2
-                && square(s - h) * d2 > i128::from(b.radius2) * s2
-        }
+        Profile::Patch => is_on_patch([a, b, k], d, h, s),
+        Profile::Oriented => is_on_patch([a, b, k], d, h, s) && k.rect.holds(e, s),
     }
+}
+
+/// Decides whether x = c_a + (h/s)·d is in k's patch box and beyond the discs of both ends.
+#[inline(always)]
+fn is_on_patch([a, b, k]: [&Disc; 3], d: [i64; 3], h: i64, s: i64) -> bool {
+    let (d2, s2) = (norm2(d), square(s));
+    (0..3).all(|i| {
+        let x = i64::from(a.centroid[i]) * s + h * d[i];
+        i64::from(k.limit.min[i]) * s <= x && x <= i64::from(k.limit.max[i]) * s
+    }) && square(h) * d2 > i128::from(a.radius2) * s2
+        && square(s - h) * d2 > i128::from(b.radius2) * s2
 }
 
 /// Finds where a plane through c_k with normal `n` crosses the open segment a + t·d, w = c_k - a.

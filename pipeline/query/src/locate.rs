@@ -99,7 +99,7 @@ pub(crate) struct Answering {
 impl Answering {
     pub(crate) fn of(surfel: &Surfel, profile: Profile) -> Answering {
         let around = match profile {
-            Profile::Patch => surfel.patch,
+            Profile::Patch | Profile::Oriented => surfel.patch,
             Profile::Paper => points_box(surfel),
         };
         let Surfel { centroid, normal, two_sided, half_spacing, .. } = *surfel;
@@ -190,7 +190,7 @@ impl Map<'_> {
         let g = target.g.map(|v| v as i32);
         self.best(target, |node| {
             let around = match self.profile() {
-                Profile::Patch => node.reach(),
+                Profile::Patch | Profile::Oriented => node.reach(),
                 // A box of points never leaves its cell.
                 Profile::Paper => node.cell(),
             };

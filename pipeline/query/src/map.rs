@@ -2,11 +2,10 @@
 
 use std::sync::OnceLock;
 
-use pvmap_geometry::disc::Profile;
+use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_geometry::{Box3, grid, morton};
-use pvmap_vmap::map::profile_of;
 use pvmap_vmap::records::Record;
-use pvmap_vmap::tree::Nodes;
+use pvmap_vmap::tree::{self, Nodes};
 use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
 use crate::error::QueryError;
@@ -38,10 +37,7 @@ impl<'a> Map<'a> {
     pub fn open(bytes: &'a [u8]) -> Result<Map<'a>, QueryError> {
         let view = MapView::open(bytes)?;
         let config = view.config()?;
-        let profile = match profile_of(config) {
-            Some(profile) => profile,
-            None => return Err(broken(&view, "config", 0, 0, "names no profile").into()),
-        };
+        let profile = view.profile()?;
         let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
         let (frames, kept) = (LinkFrames::default(), OnceLock::new());
         Ok(Map { view, profile, from_given_pairs, frames, kept })
@@ -172,6 +168,11 @@ impl<'a> Map<'a> {
         };
         let what = "has points outside its cell";
         fits.then_some(surfel).ok_or_else(|| broken(&self.view, "surfels", Surfel::BYTES, id, what))
+    }
+
+    /// Gives a surfel's disc as the map's profile sees it.
+    pub(crate) fn disc_of(&self, id: u32, surfel: &Surfel) -> Result<Disc, FormatError> {
+        Ok(tree::disc_of(surfel, self.view.rect(id)?.as_ref(), self.profile))
     }
 
     /// Names a broken rule of a node.

@@ -5,7 +5,6 @@ use std::collections::BinaryHeap;
 
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::Profile;
-use pvmap_vmap::tree::disc_of;
 use pvmap_vmap::{Node, Surfel};
 
 use crate::error::QueryError;
@@ -153,7 +152,7 @@ impl Map<'_> {
         best: Option<&Best>,
         own: Option<(&Located, Surfel)>,
     ) -> Result<Option<Best>, QueryError> {
-        let found = ray.hits(self.profile(), &disc_of(&surfel, self.profile()));
+        let found = ray.hits(self.profile(), &self.disc_of(id, &surfel)?);
         let Some(crossing) = found else { return Ok(None) };
         if let Some(best) = best {
             let (before, after) =
@@ -163,7 +162,7 @@ impl Map<'_> {
             }
         }
         if let Some((from, own)) = &own {
-            let spared = self.profile() == Profile::Patch && ray.is_near(&crossing, own);
+            let spared = self.profile() != Profile::Paper && ray.is_near(&crossing, own);
             let there = Located { surfel: id, node: surfel.node, distance: 0.0 };
             if from.surfel == id || spared || !self.pair(from, &there)?.visible {
                 return Ok(None);
@@ -175,7 +174,7 @@ impl Map<'_> {
     /// Gives a box that holds every place where surfels of a node can be hit.
     fn hit_box(&self, node: &Node) -> Box3 {
         match self.profile() {
-            Profile::Patch => node.reach(),
+            Profile::Patch | Profile::Oriented => node.reach(),
             // A disc is as wide as its farthest point is away, at most a cell's diagonal.
             Profile::Paper => {
                 let cell = node.cell();

@@ -1,8 +1,7 @@
 //! Segments and rays on the grid against the surfels of the tree, exactly. Source: DESIGN.md [V-2].
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile, segment_meets};
-use pvmap_vmap::tree::disc_of;
+use pvmap_geometry::{Box3, Rect};
 use pvmap_vmap::{FormatError, Node, Surfel};
 
 use crate::map::Map;
@@ -114,12 +113,16 @@ impl GridRay {
         if !is_within(e, k.radius2, s) {
             return None;
         }
-        let is_limited = match profile {
-            Profile::Paper => self.meets(&k.limit),
-            Profile::Patch => (0..3).all(|i| {
+        let is_in_box = || {
+            (0..3).all(|i| {
                 let x = i64::from(self.origin[i]) * s + h * d[i];
                 i64::from(k.limit.min[i]) * s <= x && x <= i64::from(k.limit.max[i]) * s
-            }),
+            })
+        };
+        let is_limited = match profile {
+            Profile::Paper => self.meets(&k.limit),
+            Profile::Patch => is_in_box(),
+            Profile::Oriented => is_in_box() && k.rect.holds(e, s),
         };
         is_limited.then_some(Crossing { h, s })
     }
@@ -156,7 +159,7 @@ impl Map<'_> {
     /// Gives the box in which a node's surfels block. [F-20]
     pub(crate) fn blocking_box(&self, node: &Node) -> Box3 {
         match self.profile() {
-            Profile::Patch => node.reach(),
+            Profile::Patch | Profile::Oriented => node.reach(),
             Profile::Paper => node.cell(),
         }
     }
@@ -177,7 +180,7 @@ impl Map<'_> {
             }
             *n_nodes += 1;
             if node.is_leaf() && node.first_surfel != from {
-                let k = disc_of(&self.surfel_of(id, &node)?, self.profile());
+                let k = self.disc_of(node.first_surfel, &self.surfel_of(id, &node)?)?;
                 if disc::blocks(self.profile(), a, &b, &k) {
                     return Ok(Some(node.first_surfel));
                 }
@@ -193,7 +196,7 @@ impl Map<'_> {
 /// Makes the disc of a place in the air: it looks everywhere and nothing is too near it to block.
 pub(crate) fn in_the_air(place: [i32; 3]) -> Disc {
     let (normal, limit) = ([0; 3], Box3::at(place));
-    Disc { centroid: place, normal, two_sided: true, radius2: 0, limit }
+    Disc { centroid: place, normal, two_sided: true, radius2: 0, limit, rect: Rect::NONE }
 }
 
 /// Rounds a place down to the grid; one farther than a cube's side outside the cube is brought that

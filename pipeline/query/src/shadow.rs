@@ -3,7 +3,6 @@
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::faces_both;
 use pvmap_vmap::Node;
-use pvmap_vmap::tree::disc_of;
 
 use crate::between::Walk;
 use crate::error::{QueryError, commas};
@@ -122,7 +121,7 @@ impl Map<'_> {
             return Err(QueryError::NoPlace(position));
         }
         let air = near_grid(steps, surfel.centroid);
-        let disc = disc_of(&surfel, self.profile());
+        let disc = self.disc_of(place.surfel, &surfel)?;
         let mut n_nodes = 0;
         let faces = faces_both(&disc, &in_the_air(air));
         let blocker = match faces {

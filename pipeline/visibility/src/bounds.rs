@@ -200,7 +200,9 @@ pub(crate) fn of_leaf(disc: &Disc, profile: Profile) -> Bounds {
     match profile {
         Profile::Paper => bounds,
         // The crossing lies in the patch box too.
-        Profile::Patch => Bounds { blockers: bounds.blockers.meet(&disc.limit), ..bounds },
+        Profile::Patch | Profile::Oriented => {
+            Bounds { blockers: bounds.blockers.meet(&disc.limit), ..bounds }
+        }
     }
 }
 
@@ -208,19 +210,38 @@ pub(crate) fn of_leaf(disc: &Disc, profile: Profile) -> Bounds {
 pub(crate) mod tests {
     use super::*;
     use fastrand::Rng;
+    use pvmap_geometry::Rect;
+    use pvmap_geometry::normal::{self, Normal};
+    use pvmap_geometry::rect::Moments;
 
     fn disc(rng: &mut Rng, places: &Box3) -> Disc {
-        let normal = [0; 3].map(|_| rng.i64(-1..=1) * rng.i64(0..=9));
+        let normal = normal::rescale([0; 3].map(|_| rng.i64(-1..=1) * rng.i64(0..=9)));
         let centroid = [0, 1, 2].map(|i| rng.i32(places.min[i]..=places.max[i]));
         let width = (0..3).fold(4, |width, i| width.max(places.max[i] - places.min[i]));
         let r = rng.u64(0..=width as u64);
         Disc {
             centroid,
-            normal: pvmap_geometry::normal::rescale(normal),
+            normal,
             two_sided: rng.u8(0..4) == 0,
             radius2: rng.u64(0..=r * r),
             limit: Box3::at(centroid).grown(rng.i32(1..=width)),
+            rect: rect(rng, normal, width),
         }
+    }
+
+    /// A rectangle of any direction in a plane, whose sides are up to so many steps from the
+    /// centroid; of any plane now and then.
+    pub(crate) fn rect(rng: &mut Rng, normal: Normal, width: i32) -> Rect {
+        let any = rng.u8(..4) == 0;
+        let normal = if any { [0; 3].map(|_| rng.i16(-99..=99)) } else { normal };
+        if normal == [0; 3] {
+            return Rect::NONE;
+        }
+        let mut moments = Moments::new(normal::rescale(normal.map(i64::from)));
+        moments.add([0; 3].map(|_| rng.i64(-99..=99)));
+        let mut bound = || [0; 2].map(|_| rng.i32(1 + width / 2..=width.max(1 + width / 2)));
+        let (low, high) = (bound().map(|v| -v), bound());
+        Rect { low, high, ..Rect::along(moments.axes()) }
     }
 
     /// A few discs of some part of a cube, as large as that part or smaller; with alike normals

@@ -7,14 +7,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
+use pvmap_geometry::{Box3, Rect};
 use pvmap_store::memory::require_disk;
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::{StoreError, Table, Watch, WorkFolder};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::map::config_text;
-use pvmap_vmap::tree::disc_of;
 use pvmap_vmap::{MapSummary, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
@@ -196,10 +195,11 @@ impl Ground {
             two_sided: false,
             radius2: 0,
             limit: Box3::EMPTY,
+            rect: Rect::NONE,
         };
         let mut discs = Table::new(tree.surfels.len(), nothing, folder)?;
-        let all = discs.par_iter_mut().zip(&tree.surfels);
-        all.for_each(|(disc, surfel)| *disc = disc_of(surfel, profile));
+        let all = discs.par_iter_mut().enumerate();
+        all.for_each(|(id, disc)| *disc = tree.disc(id as u32, profile));
         let bounds = bounds::of_tree(tree, &discs, profile, folder)?;
         let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
         let families = candidates::families(tree, &bounds, &sheets, folder)?;

@@ -327,7 +327,7 @@ mod tests {
         for i in 0..200_000 {
             let size = [16, 1 << 22][i % 2];
             let [a, b, k] = [0; 3].map(|_| bounds::tests::group(&mut rng, size));
-            for profile in [Profile::Paper, Profile::Patch] {
+            for profile in [Profile::Paper, Profile::Patch, Profile::Oriented] {
                 let [(_, bound_a), (_, bound_b)] = [&a, &b].map(|g| family(g, profile));
                 let (children, _) = family(&k, profile);
                 let is_excluded =

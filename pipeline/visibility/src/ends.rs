@@ -61,7 +61,7 @@ impl Ends {
             self.two_sided[k] = f64::from(u8::from(disc.two_sided));
             self.free[k] = f64::from(u8::from(disc.normal == [0; 3]));
             self.spared2[k] = match profile {
-                Profile::Patch => disc.radius2 as f64,
+                Profile::Patch | Profile::Oriented => disc.radius2 as f64,
                 Profile::Paper => 0.0,
             };
             self.spared[k] = self.spared2[k].sqrt() as f32 / OUTWARD;

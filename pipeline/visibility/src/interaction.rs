@@ -125,7 +125,7 @@ mod tests {
     fn tree() -> Tree {
         let node = |(parent, end)| Node { parent, end, ..root_node(Shape::Paper, 0) };
         let nodes = [(NO_PARENT, 7), (0, 4), (1, 3), (1, 4), (0, 7), (4, 6), (4, 7)];
-        Tree { nodes: nodes.map(node).to_vec(), surfels: Vec::new() }
+        Tree { nodes: nodes.map(node).to_vec(), ..Tree::default() }
     }
 
     fn rows_at_fault(given: &[Pair]) -> Option<(Vec<usize>, PairFault)> {

@@ -132,26 +132,31 @@ impl Recent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bounds;
     use crate::ends::Ends;
     use crate::packets::pack;
     use fastrand::Rng;
     use pvmap_geometry::disc::{self, Profile};
+    use pvmap_geometry::rect::Moments;
+    use pvmap_geometry::{Rect, normal};
 
     fn disc(rng: &mut Rng, origin: i32, size: i32) -> Disc {
-        let normal = [0; 3].map(|_| rng.i64(-3..=3));
+        let normal = normal::rescale([0; 3].map(|_| rng.i64(-3..=3)));
         let centroid = [0; 3].map(|_| origin + rng.i32(0..size));
         let r = rng.u64(0..=size as u64 / 2);
         Disc {
             centroid,
-            normal: pvmap_geometry::normal::rescale(normal),
+            normal,
             two_sided: rng.bool(),
             radius2: r * r,
             limit: Box3::at(centroid).grown(rng.i32(1..=1 + size / 2)),
+            rect: bounds::tests::rect(rng, normal, 1 + size / 2),
         }
     }
 
     /// Makes three discs: two ends, and one that passes the segment between them, or the rim of an
-    /// end where it cuts the segment, within a step² or so.
+    /// end where it cuts the segment, within a step² or so; or with a side of its rectangle within
+    /// a step.
     fn close_shave(rng: &mut Rng) -> Option<[Disc; 3]> {
         let size = 1 << rng.u32(8..=22);
         let origin = rng.i32(0..=(1 << 22) - size);
@@ -164,8 +169,7 @@ mod tests {
             // A plane that all but holds this end, far from the middle of its disc.
             let [x, y, z] = minus(discs[end].centroid, k).map(|v| v as i64);
             let [u, v, w] = [0; 3].map(|_| rng.i64(-9..=9));
-            discs[2].normal =
-                pvmap_geometry::normal::rescale([y * w - z * v, z * u - x * w, x * v - y * u]);
+            discs[2].normal = normal::rescale([y * w - z * v, z * u - x * w, x * v - y * u]);
         }
         if end < 2 {
             (discs[2].radius2, discs[2].limit) = ((1 << 46) - 1, Box3::at(k).grown(1 << 22));
@@ -176,6 +180,13 @@ mod tests {
         let way = [0, 1, 2].map(|i| from[i] + t * d[i]);
         let near2 = dot(way, way).round() + f64::from(rng.i32(-1..=1));
         discs[end].radius2 = near2.max(0.0) as u64;
+        discs[2].rect = Rect::NONE;
+        if end == 2 && discs[2].normal != [0; 3] && (0.0..1.0).contains(&t) {
+            let mut rect = Rect::along(Moments::new(discs[2].normal).axes());
+            rect.hold(way.map(|v| v as i64));
+            discs[2].rect = rect.grown(rng.i32(0..=1));
+            discs[2].radius2 = (discs[2].radius2 + (1 << 20)).min((1 << 46) - 1);
+        }
         ((0.0..1.0).contains(&t) && near2 < (1u64 << 46) as f64).then_some(discs)
     }
 
@@ -183,23 +194,24 @@ mod tests {
     fn v2_no_bound_of_floats_decides_a_close_shave() {
         let mut rng = Rng::with_seed(5);
         let (mut n_blocked, mut counts) = (0, Counts::default());
-        let mut n_left = 200_000;
+        let mut n_left = 300_000;
         while n_left > 0 {
             let Some(discs) = close_shave(&mut rng) else { continue };
             n_left -= 1;
+            let profile = [Profile::Patch, Profile::Oriented][n_left % 2];
             let [rows, columns] = [0..1, 1..2].map(|surfels| {
                 let mut ends = Ends::NONE;
-                ends.load(&discs, surfels, Profile::Patch);
+                ends.load(&discs, surfels, profile);
                 ends
             });
             let mut blockers = Blockers::default();
-            let reach = crate::bounds::of_group(&discs[2..], Profile::Patch).blockers;
+            let reach = bounds::of_group(&discs[2..], profile).blockers;
             blockers.load(&discs, [(2, reach)].into_iter());
-            let shot = Shot { discs: &discs, profile: Profile::Patch, block: [&rows, &columns] };
+            let shot = Shot { discs: &discs, profile, block: [&rows, &columns] };
             let mut packets = Vec::new();
             pack(shot.block, &[1], &mut packets);
             blockers.shoot(&shot, &mut packets[0], &mut counts);
-            let is_blocked = disc::blocks(Profile::Patch, &discs[0], &discs[1], &discs[2]);
+            let is_blocked = disc::blocks(profile, &discs[0], &discs[1], &discs[2]);
             assert_eq!(packets[0].n_open() == 0, is_blocked, "{discs:?}");
             n_blocked += usize::from(is_blocked);
         }
@@ -228,7 +240,7 @@ mod tests {
                 sides[0].clone().enumerate().flat_map(move |a| columns().map(move |b| (a, b)))
             };
             let disc = |id: u32| &discs[id as usize];
-            for profile in [Profile::Paper, Profile::Patch] {
+            for profile in [Profile::Paper, Profile::Patch, Profile::Oriented] {
                 let [rows, columns] = sides.each_ref().map(|surfels| {
                     let mut ends = Ends::NONE;
                     ends.load(&discs, surfels.clone(), profile);
@@ -240,7 +252,7 @@ mod tests {
                     assert_eq!(open[row] >> column & 1 == 1, disc::faces_both(disc(a), disc(b)));
                 }
                 open.fill(u64::MAX >> (64 - columns.len()));
-                let reach = |id| crate::bounds::of_group(&[*disc(id)], profile).blockers;
+                let reach = |id| bounds::of_group(&[*disc(id)], profile).blockers;
                 let mut blockers = Blockers::default();
                 blockers.load(&discs, (0..n).map(|id| (id, reach(id))));
                 let shot = Shot { discs: &discs, profile, block: [&rows, &columns] };

@@ -44,7 +44,7 @@ pub const WIDTH: usize = 16;
 const SLACK: f32 = 4.0;
 
 /// What scales a normal to length 1.
-const UNIT: f32 = 1.0 / (1u32 << 14) as f32;
+pub(crate) const UNIT: f32 = 1.0 / (1u32 << 14) as f32;
 
 /// Up to sixteen segments, a lane each. Lanes that are not used repeat the first.
 #[derive(Debug, Clone)]
@@ -253,7 +253,7 @@ fn lanes_with(lanes: &[u32; WIDTH], bit: usize) -> u32 {
 #[inline(always)]
 fn settle(shot: &Shot<'_>, blocker: &Disc, hits: u32, packet: &mut Packet, counts: &mut Counts) {
     let Shot { discs, profile, block } = *shot;
-    let plate = Plate::new(blocker);
+    let plate = Plate::new(profile, blocker);
     for half in 0..2 {
         let asked = hits >> (half * HALF) & 0xff;
         if asked == 0 {

@@ -335,12 +335,14 @@ mod tests {
             }
             let centroid = p.map(|c| origin + c * step);
             let r = rng.u64(0..=step as u64 * if kind == 0 { 4 } else { 2 });
+            let normal = normal::rescale(n);
             Disc {
                 centroid,
-                normal: normal::rescale(n),
+                normal,
                 two_sided: two_sided > rng.u8(1..4),
                 radius2: r * r,
                 limit: Box3::at(centroid).grown(rng.i32(1..=step * 2)),
+                rect: bounds::tests::rect(rng, normal, step * 2),
             }
         };
         (0..n).map(disc).collect()
@@ -359,7 +361,7 @@ mod tests {
         /// Grows a tree over at most `n` random discs.
         fn random(rng: &mut Rng, n: usize) -> Stage {
             let grown = Grown::new(random_discs(rng, n), rng.bool(), rng.u8(0..6));
-            let profile = [Profile::Paper, Profile::Patch][rng.usize(..2)];
+            let profile = [Profile::Paper, Profile::Patch, Profile::Oriented][rng.usize(..3)];
             let folder = Some(std::env::temp_dir()).filter(|_| n.is_multiple_of(4));
             let folder = folder.as_deref();
             // For all sheets, or for one.
@@ -465,6 +467,7 @@ mod tests {
             two_sided: false,
             radius2: 1 << 32,
             limit: Box3::at(centroid).grown(step / 2),
+            rect: pvmap_geometry::Rect::NONE,
         };
         let wall = |i: i32| {
             disc([step, (2 * (i % 16) + 1) * step, (2 * (i / 16) + 1) * step], [1 << 14, 0, 0])

@@ -1,5 +1,6 @@
 //! How a build shares its memory out. [D-9]
 
+use pvmap_geometry::Rect;
 use pvmap_geometry::disc::Disc;
 use pvmap_store::StoreError;
 use pvmap_store::memory::require;
@@ -80,7 +81,8 @@ fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
     let starts = given.map_or(0, |given| given.len() * interaction::GIVEN_BYTES);
     let of_surfels = tree.surfels.len() * size_of::<Surfel>();
     let of_nodes = tree.nodes.len() * size_of::<Node>() + n_inner * Sheets::A_FAMILY_BYTES;
-    (of_nodes + of_surfels + starts) as u64
+    let of_rects = tree.rects.len() * size_of::<Rect>();
+    (of_nodes + of_surfels + of_rects + starts) as u64
 }
 
 /// What the tables of a build take.

@@ -8,12 +8,13 @@
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{Disc, Profile};
+use pvmap_geometry::{Box3, Rect};
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds};
-use crate::lanes::{WIDER, greater, less};
+use crate::lanes::{WIDER, dot32, greater, less};
+use crate::packets::UNIT;
 use crate::surface::{Patch, Surface};
 
 /// Most and least surfels of a sheet.
@@ -225,12 +226,12 @@ impl Sheet {
     pub(crate) fn detail(&self, discs: &[Disc], profile: Profile) -> &Detail {
         self.detail.get_or_init(|| {
             let members = &discs[self.surfels.start as usize..self.surfels.end as usize];
-            let (raster, plates) = (self.raster(members, profile), self.plates(members));
+            let (raster, plates) = (self.raster(members, profile), self.plates(members, profile));
             Box::new(Detail { raster, plates })
         })
     }
 
-    fn plates(&self, members: &[Disc]) -> Plates {
+    fn plates(&self, members: &[Disc], profile: Profile) -> Plates {
         let none = [[0.0; MAX_SURFELS]; 3];
         let (centroid, normal, low, high) = (none, none, none, none);
         let mut plates = Plates { centroid, normal, radius: [0.0; MAX_SURFELS], low, high };
@@ -242,7 +243,13 @@ impl Sheet {
                 plates.low[i][k] = (disc.limit.min[axis] - c) as f32;
                 plates.high[i][k] = (disc.limit.max[axis] - c) as f32;
             }
-            plates.radius[k] = (disc.radius2 as f32).sqrt() / WIDER;
+            plates.radius[k] = match profile {
+                Profile::Paper | Profile::Patch => (disc.radius2 as f32).sqrt() / WIDER,
+                // What is that near the centroid is within the rectangle.
+                Profile::Oriented => {
+                    less((disc.radius2 as f32).sqrt(), inner_radius(&disc.rect)) / WIDER
+                }
+            };
         }
         plates
     }
@@ -265,7 +272,7 @@ impl Sheet {
                     }
                 }
             }
-            self.deepen(disc, iu, iv, &mut depths);
+            self.deepen(disc, profile, iu, iv, &mut depths);
         }
         let steps = steps_to(&names);
         let mut raster = [0; SIDE * SIDE];
@@ -301,7 +308,14 @@ impl Sheet {
 
     /// Notes for each fine cell of some cells how far around all its places, along u and v, the
     /// plane of a disc is on the disc and within its limit, if that is farther than noted.
-    fn deepen(&self, disc: &Disc, iu: Range<usize>, iv: Range<usize>, depths: &mut [f32]) {
+    fn deepen(
+        &self,
+        disc: &Disc,
+        profile: Profile,
+        iu: Range<usize>,
+        iv: Range<usize>,
+        depths: &mut [f32],
+    ) {
         let n = self.axes.map(|i| f32::from(disc.normal[i]));
         let [p, q] = [-n[0] / n[2], -n[1] / n[2]];
         let radius = (disc.radius2 as f32).sqrt() / WIDER;
@@ -311,6 +325,11 @@ impl Sheet {
         let fine = self.cell / SPLIT as f32;
         let low = self.axes.map(|i| (disc.limit.min[i] - disc.centroid[i]) as f32);
         let high = self.axes.map(|i| (disc.limit.max[i] - disc.centroid[i]) as f32);
+        let is_cut = profile == Profile::Oriented;
+        // Along the axes of the rectangle, and how far a step along u and v can lead there.
+        let cut = disc.rect.axes.map(|axis| self.axes.map(|i| f32::from(axis[i]) * UNIT));
+        let lead = cut
+            .map(|[x, y, w]| greater((x + w * p).abs() + (y + w * q).abs(), 1.0 / 1024.0) * WIDER);
         let c = self.on_raster(disc);
         for v in iv.start * SPLIT..iv.end * SPLIT {
             let y = (v as f32 + 0.5) * fine - c[1];
@@ -320,12 +339,28 @@ impl Sheet {
                 let flat = less(less(x - low[0], high[0] - x), less(y - low[1], high[1] - y));
                 let round = (radius - (x * x + y * y + w * w).sqrt() * WIDER) / stretch;
                 let upright = (less(w - low[2], high[2] - w) - PLACE_SLACK) / climb;
-                let depth = less(less(flat, round), upright) - fine / 2.0 - PLACE_SLACK;
+                let mut depth = less(less(flat, round), upright);
+                if is_cut {
+                    for (i, axis) in cut.iter().enumerate() {
+                        let along = dot32(*axis, [x, y, w]);
+                        let (low, high) = (disc.rect.low[i] as f32, disc.rect.high[i] as f32);
+                        let within = less(along - low, high - along) - PLACE_SLACK;
+                        depth = less(depth, within / lead[i]);
+                    }
+                }
+                depth -= fine / 2.0 + PLACE_SLACK;
                 let noted = &mut depths[v * FINE + u];
                 *noted = greater(*noted, depth);
             }
         }
     }
+}
+
+/// Gives the radius of a disc around the centroid that lies in a rectangle.
+fn inner_radius(rect: &Rect) -> f32 {
+    let sides = [-rect.low[0], -rect.low[1], rect.high[0], rect.high[1]];
+    // An axis is longer than 2^14 by less than 1: each component is rounded.
+    sides.into_iter().min().map_or(0.0, |steps| steps as f32 * (1.0 - 1.0 / 8192.0))
 }
 
 /// Finds the axis that normals are nearest to; of none, none.

@@ -1,12 +1,13 @@
 //! The map file of a build: written from the tree and the sorted links once all are decided.
 
+use pvmap_geometry::Rect;
 use pvmap_store::runs::Runs;
 use pvmap_store::sections::Section;
 use pvmap_store::{SectionFile, StoreError, Watch};
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::links::LinkEncoder;
-use pvmap_vmap::map::{SECTIONS, close_map};
+use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map};
 use pvmap_vmap::records::{LinkBlock, Record};
 use pvmap_vmap::{MapSummary, Node, Surfel, Tree};
 
@@ -16,8 +17,14 @@ use crate::journal::{self, Journal};
 
 /// What a map has at the least: how many links there will be nobody knows before (F21).
 pub(crate) fn least_output_bytes(input: &MapInput<'_>) -> u64 {
-    let (nodes, surfels) = (input.tree.nodes.len(), input.tree.surfels.len());
-    head_bytes(SECTIONS.len()) + (nodes * Node::BYTES + surfels * Surfel::BYTES) as u64
+    let Tree { nodes, surfels, rects } = input.tree;
+    let records = nodes.len() * Node::BYTES + surfels.len() * Surfel::BYTES;
+    head_bytes(n_sections(input.tree)) + (records + rects.len() * Rect::BYTES) as u64
+}
+
+/// Counts the sections: a tree with rectangles has one more. [F-22]
+fn n_sections(tree: &Tree) -> usize {
+    SECTIONS.len() + usize::from(!tree.rects.is_empty())
 }
 
 /// What was written.
@@ -40,7 +47,7 @@ pub(crate) fn write(
     watch: &dyn Watch,
 ) -> Result<WrittenMap, VisibilityError> {
     let tree = input.tree;
-    let head_bytes = head_bytes(SECTIONS.len());
+    let head_bytes = head_bytes(n_sections(tree));
     let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes)?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
@@ -61,7 +68,12 @@ pub(crate) fn write(
     };
     let room = file.rewrite(&room, &summary.to_bytes())?;
     let (link_bytes, temporary_bytes) = (written.section.len_bytes, written.temporary_bytes);
+    let rects = match tree.rects.is_empty() {
+        true => None,
+        false => Some(write_records(&mut file, &tree.rects)?),
+    };
     let sections = [room, config, nodes, surfels, written.section, index, frame, crs];
+    let sections: Vec<Section> = sections.into_iter().chain(rects).collect();
     let sizes = [
         MapSummary::BYTES,
         0,
@@ -71,11 +83,13 @@ pub(crate) fn write(
         LinkBlock::BYTES,
         FrameRecord::BYTES,
         0,
+        Rect::BYTES,
     ];
+    let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
     sections.iter().try_for_each(|section| file.check(section))?;
     let table: Vec<Written> = sections
         .into_iter()
-        .zip(SECTIONS.into_iter().zip(sizes))
+        .zip(names.zip(sizes))
         .map(|(Section { offset_bytes, len_bytes, sums }, (name, size))| Written {
             name,
             offset_bytes,

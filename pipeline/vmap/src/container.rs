@@ -19,6 +19,8 @@ const MINOR: u16 = 0;
 const OURS: &str = "1.0";
 const SUMS: &str = "sums";
 const MAX_SECTIONS: u32 = 32;
+/// The section of rectangles, and the flag of `required` that a map has it. [F-22]
+pub(crate) const RECTS: (&str, u64) = ("rects", 1);
 
 /// Which artifact a file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -84,6 +86,7 @@ pub fn head_bytes(n_sections: usize) -> u64 {
 
 /// Makes what closes a file: header, table and `sums`, from its sections in file order.
 pub fn close(kind: Kind, sections: &[Written]) -> Closing {
+    let has_rects = sections.iter().any(|s| s.name == RECTS.0);
     let sums: Vec<u8> =
         sections.iter().flat_map(|s| &s.sums).flat_map(|c| c.to_le_bytes()).collect();
     let sums_offset_bytes =
@@ -118,7 +121,7 @@ pub fn close(kind: Kind, sections: &[Written]) -> Closing {
     let root = root_of(&header[..32], table, &sums);
     let mut w = FieldWriter::new(&mut header[32..]);
     w.u128(root);
-    w.u64(0);
+    w.u64(if has_rects { RECTS.1 } else { 0 });
     w.u32(crc32fast::hash(&sums));
     let crc = crc32fast::hash(&header[..60]);
     FieldWriter::new(&mut header[60..]).u32(crc);
@@ -170,6 +173,7 @@ pub struct Container<'a> {
     bytes: &'a [u8],
     sections: Vec<Section>,
     minor: u16,
+    required: u64,
     root: u128,
     sums_crc: u32,
     /// A bit a block that was found good; bit 0 of a further word says so of `sums`.
@@ -200,6 +204,7 @@ impl<'a> Container<'a> {
             bytes,
             sections,
             minor: header.minor,
+            required: header.required,
             root: header.root,
             sums_crc: header.sums_crc,
             checked: (0..n_words).map(|_| AtomicU64::new(0)).collect(),
@@ -215,6 +220,11 @@ impl<'a> Container<'a> {
     /// Gives the format version of the file.
     pub fn version(&self) -> (u16, u16) {
         (MAJOR, self.minor)
+    }
+
+    /// Gives the flags that a reader must know.
+    pub(crate) fn required(&self) -> u64 {
+        self.required
     }
 
     /// Gives the 16 bytes that name the whole content.
@@ -360,6 +370,7 @@ pub fn kind_of(bytes: &[u8]) -> Option<Kind> {
 
 struct Header {
     minor: u16,
+    required: u64,
     n_sections: u32,
     table_crc: u32,
     root: u128,
@@ -386,7 +397,11 @@ fn read_header(bytes: &[u8], kind: Kind) -> Result<Header, FormatError> {
     if major != MAJOR || minor > MINOR {
         return Err(FormatError::Version { major, minor, ours: OURS });
     }
-    if required != 0 {
+    let known = match kind {
+        Kind::Map => RECTS.1,
+        Kind::Octree => 0,
+    };
+    if required & !known != 0 {
         return Err(FormatError::Required { flags: required });
     }
     if file_bytes != bytes.len() as u64 {
@@ -396,7 +411,7 @@ fn read_header(bytes: &[u8], kind: Kind) -> Result<Header, FormatError> {
         let what = format!("{n_sections} sections, 1 to {MAX_SECTIONS} are possible");
         return Err(FormatError::Broken { section: "header".to_owned(), offset_bytes: 24, what });
     }
-    Ok(Header { minor, n_sections, table_crc, root, sums_crc })
+    Ok(Header { minor, required, n_sections, table_crc, root, sums_crc })
 }
 
 /// Reads the section table and checks that the sections tile the file.

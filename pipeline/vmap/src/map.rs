@@ -1,9 +1,10 @@
 //! A map as its reader sees it: a view of the bytes of a whole file. Section 5 of FORMAT.md.
 
-use pvmap_geometry::{Box3, morton};
+use pvmap_geometry::disc::Profile;
+use pvmap_geometry::{Box3, Rect, morton};
 
 use crate::bytes::FieldReader;
-use crate::container::{Closing, Container, Kind, Section, Written, close};
+use crate::container::{Closing, Container, Kind, RECTS, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
 use crate::links::{self, LinkLists};
@@ -13,6 +14,9 @@ use crate::tree::{Nodes, overhang};
 /// The sections of a map in file order, without `sums`.
 pub const SECTIONS: [&str; 8] =
     ["summary", "config", "nodes", "surfels", "links", "linkidx", "frame", "crs"];
+
+/// The section behind them with profile `oriented`. [F-22]
+pub const RECTS_SECTION: &str = RECTS.0;
 
 /// The largest `config` a reader accepts.
 const MAX_CONFIG_BYTES: u64 = 4096;
@@ -28,6 +32,8 @@ pub struct MapView<'a> {
     surfels: Section,
     links: Section,
     index: Section,
+    /// With profile `oriented`.
+    rects: Option<Section>,
 }
 
 impl<'a> MapView<'a> {
@@ -43,13 +49,19 @@ impl<'a> MapView<'a> {
         let surfels = file.section("surfels", Surfel::BYTES as u32)?.clone();
         let links = file.section("links", 0)?.clone();
         let index = file.section("linkidx", LinkBlock::BYTES as u32)?.clone();
-        for (section, expected) in [(&nodes, summary.n_nodes), (&surfels, summary.n_surfels)] {
+        let rects = match file.required() & RECTS.1 {
+            0 => None,
+            _ => Some(file.section(RECTS_SECTION, Rect::BYTES as u32)?.clone()),
+        };
+        let counted = [(&nodes, summary.n_nodes), (&surfels, summary.n_surfels)];
+        let cut = rects.iter().map(|rects| (rects, summary.n_surfels));
+        for (section, expected) in counted.into_iter().chain(cut) {
             if section.n_records != u64::from(expected) {
                 let found = section.n_records;
                 return Err(section.broken(0, format!("{found} records, summary says {expected}")));
             }
         }
-        Ok(MapView { file, summary, frame, nodes, surfels, links, index })
+        Ok(MapView { file, summary, frame, nodes, surfels, links, index, rects })
     }
 
     /// Gives the file around the sections.
@@ -94,6 +106,29 @@ impl<'a> MapView<'a> {
     /// Where there is none of that id or its block is damaged.
     pub fn surfel(&self, id: u32) -> Result<Surfel, FormatError> {
         record(&self.file, &self.surfels, id.into())
+    }
+
+    /// Reads what a surfel is cut to, `id` < `n_surfels`; none where the profile is not `oriented`.
+    ///
+    /// # Errors
+    /// Where there is none of that id or its block is damaged.
+    pub fn rect(&self, id: u32) -> Result<Option<Rect>, FormatError> {
+        self.rects.as_ref().map(|rects| record(&self.file, rects, id.into())).transpose()
+    }
+
+    /// Gives the profile that the map was made with.
+    ///
+    /// # Errors
+    /// Where the configuration is damaged, names none, or one that the file does not say.
+    pub fn profile(&self) -> Result<Profile, FormatError> {
+        let broken = |what| Ok(self.file.section("config", 0)?.broken(0, what));
+        match profile_of(self.config()?) {
+            None => broken("names no profile").and_then(Err),
+            Some(profile) if (profile == Profile::Oriented) != self.rects.is_some() => {
+                broken("names a profile that has rectangles, or the file has some").and_then(Err)
+            }
+            Some(profile) => Ok(profile),
+        }
     }
 
     /// Counts the link frames.
@@ -208,6 +243,7 @@ impl<'a> MapView<'a> {
             let section = self.file.section("config", 0)?;
             return Err(section.broken(0, "not the keys of a map in their canonical form"));
         }
+        self.profile()?;
         Ok(())
     }
 
@@ -289,6 +325,13 @@ impl<'a> MapView<'a> {
             return Err(self.surfels.broken(at, format!("differs from its leaf, node {id}")));
         }
         self.verify_overhang(id, node, &surfel.patch)?;
+        let rect = self.rect(node.first_surfel)?;
+        if let (Some(rect), Some(rects)) = (rect, &self.rects)
+            && (rect == Rect::NONE) != (surfel.normal == [0; 3])
+        {
+            let at = u64::from(node.first_surfel) * Rect::BYTES as u64;
+            return Err(rects.broken(at, "a rectangle without a plane, or a plane without one"));
+        }
         Ok(surfel.patch)
     }
 
@@ -420,9 +463,12 @@ pub(crate) fn single<R: Record>(file: &Container<'_>, name: &str) -> Result<R, F
     record(file, section, 0)
 }
 
-/// Makes what closes a map, from its sections in the order of [`SECTIONS`].
+/// Makes what closes a map, from its sections in the order of [`SECTIONS`], then `rects` if the
+/// profile is `oriented`.
 pub fn close_map(sections: &[Written]) -> Closing {
-    debug_assert!(sections.iter().map(|s| s.name).eq(SECTIONS), "sections in file order");
+    let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
+    let are_in_order = sections.iter().map(|s| s.name).eq(names.take(sections.len()));
+    debug_assert!(are_in_order && sections.len() >= SECTIONS.len(), "sections in file order");
     close(Kind::Map, sections)
 }
 
@@ -432,18 +478,18 @@ pub fn config_text(
     leaf_capacity: u64,
     max_spread: u16,
     shape: crate::Shape,
-    profile: pvmap_geometry::disc::Profile,
+    profile: Profile,
     spacing: crate::Spacing,
     pairs: Option<(u32, u128)>,
 ) -> String {
     use crate::{Shape, Spacing};
-    use pvmap_geometry::disc::Profile;
     let tree = match shape {
         Shape::Binned => "binned",
         Shape::Paper => "paper",
     };
     let profile = match profile {
         Profile::Patch => "patch",
+        Profile::Oriented => "oriented",
         Profile::Paper => "paper",
     };
     let mut text = format!(
@@ -504,10 +550,10 @@ fn canonical_config(text: &str) -> Option<String> {
 }
 
 /// Reads the profile out of a canonical configuration text.
-pub fn profile_of(config: &str) -> Option<pvmap_geometry::disc::Profile> {
-    use pvmap_geometry::disc::Profile;
+fn profile_of(config: &str) -> Option<Profile> {
     config.lines().find_map(|line| match line {
         "profile = \"patch\"" => Some(Profile::Patch),
+        "profile = \"oriented\"" => Some(Profile::Oriented),
         "profile = \"paper\"" => Some(Profile::Paper),
         _ => None,
     })

@@ -1,7 +1,7 @@
 //! The fixed rows of both artifacts, as FORMAT.md lays them out.
 
 use pvmap_geometry::normal::Normal;
-use pvmap_geometry::{Box3, morton};
+use pvmap_geometry::{Box3, Rect, morton};
 
 use crate::bytes::{FieldReader, FieldWriter};
 use crate::schema::COLUMN_NAMES;
@@ -243,6 +243,35 @@ impl Record for Surfel {
                 -(1 << 24) < min && min <= max && max < 1 << 24
             });
         legal.then_some(surfel)
+    }
+}
+
+/// A row of `rects`. [F-22]
+impl Record for Rect {
+    const BYTES: usize = 28;
+
+    fn write(&self, w: &mut FieldWriter<'_>) {
+        for i in 0..2 {
+            w.three(self.axes[i], FieldWriter::i16);
+        }
+        for i in 0..2 {
+            w.i32(self.low[i]);
+            w.i32(self.high[i]);
+        }
+    }
+
+    #[inline]
+    fn read(r: &mut FieldReader<'_>) -> Option<Rect> {
+        let axes = [r.three(FieldReader::i16), r.three(FieldReader::i16)];
+        let [u, v] = [[r.i32(), r.i32()], [r.i32(), r.i32()]];
+        let rect = Rect { axes, low: [u[0], v[0]], high: [u[1], v[1]] };
+        let is_none = axes.contains(&[0; 3]);
+        let legal = axes.iter().flatten().all(|n| n.unsigned_abs() <= 1 << 14)
+            && (0..2).all(|i| {
+                let (low, high) = (rect.low[i], rect.high[i]);
+                -(1 << 25) < low && low < 0 && 0 < high && high < 1 << 25
+            });
+        (if is_none { rect == Rect::NONE } else { legal }).then_some(rect)
     }
 }
 

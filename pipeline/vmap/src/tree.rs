@@ -2,7 +2,7 @@
 
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_geometry::normal::{self, Normal};
-use pvmap_geometry::{Box3, GridPoint, morton};
+use pvmap_geometry::{Box3, GridPoint, Rect, morton};
 
 use crate::records::{NO_PARENT, Node, Split, Surfel};
 
@@ -31,6 +31,8 @@ pub struct Tree {
     pub nodes: Vec<Node>,
     /// All leaves.
     pub surfels: Vec<Surfel>,
+    /// What each leaf is cut to with profile `oriented`; empty with others.
+    pub rects: Vec<Rect>,
 }
 
 impl Tree {
@@ -55,7 +57,7 @@ impl Tree {
 
     /// Gives a leaf's disc as a profile sees it.
     pub fn disc(&self, surfel: u32, profile: Profile) -> Disc {
-        disc_of(&self.surfels[surfel as usize], profile)
+        disc_of(&self.surfels[surfel as usize], self.rects.get(surfel as usize), profile)
     }
 }
 
@@ -84,8 +86,8 @@ pub fn overhang(cell: &Box3, other: &Box3) -> u32 {
     beyond.fold(0, i32::max) as u32
 }
 
-/// Gives a surfel's disc as a profile sees it.
-pub fn disc_of(surfel: &Surfel, profile: Profile) -> Disc {
+/// Gives a surfel's disc as a profile sees it; its rectangle is that of profile `oriented`.
+pub fn disc_of(surfel: &Surfel, rect: Option<&Rect>, profile: Profile) -> Disc {
     Disc {
         centroid: surfel.centroid.map(|v| v as i32),
         normal: surfel.normal,
@@ -93,8 +95,9 @@ pub fn disc_of(surfel: &Surfel, profile: Profile) -> Disc {
         radius2: surfel.radius2,
         limit: match profile {
             Profile::Paper => surfel.cell(),
-            Profile::Patch => surfel.patch,
+            Profile::Patch | Profile::Oriented => surfel.patch,
         },
+        rect: rect.copied().unwrap_or(Rect::NONE),
     }
 }
 

@@ -124,7 +124,7 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     tree: Vec<RawTree>,
-    /// Profiles to try: patch, paper
+    /// Profiles to try: patch, oriented, paper
     #[arg(
         long,
         value_enum,

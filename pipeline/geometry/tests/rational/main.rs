@@ -5,6 +5,7 @@ mod named;
 mod oracle;
 
 use fastrand::Rng;
+use pvmap_geometry::Rect;
 use pvmap_geometry::bounds::Box3;
 use pvmap_geometry::disc::{Disc, Profile, blocks};
 use pvmap_geometry::grid::{Frame, GridPoint};
@@ -37,7 +38,11 @@ fn random_disc(rng: &mut Rng, size: i32) -> Disc {
         }
         _ => Box3::at(centroid).grown(rng.i32(1..=1 + size / 8)),
     };
-    Disc { centroid, normal, two_sided: rng.bool(), radius2, limit }
+    let axes = [0; 2].map(|_| [0; 3].map(|_| rng.i64(-9..=9)));
+    let mut bound = || [0; 2].map(|_| rng.i32(0..=1 + size / 8));
+    let (low, high) = (bound().map(|v| -v), bound());
+    let rect = Rect { axes: axes.map(pvmap_geometry::normal::rescale), low, high };
+    Disc { centroid, normal, two_sided: rng.bool(), radius2, limit, rect }
 }
 
 /// Moves discs of a cube at the origin to the far corner of the grid: what a large offset of the
@@ -56,7 +61,7 @@ fn adversarial(rng: &mut Rng) -> [Disc; 3] {
     let (mut a, mut b, mut k) =
         (random_disc(rng, size), random_disc(rng, size), random_disc(rng, size));
     let axis = rng.usize(0..3);
-    match rng.u32(0..6) {
+    match rng.u32(0..7) {
         // A segment along an axis through a disc across it, at the rim to the step.
         0 => {
             let (p, w) = (a.centroid, rng.i32(0..=size / 4));
@@ -90,6 +95,15 @@ fn adversarial(rng: &mut Rng) -> [Disc; 3] {
             a.radius2 = (d2 / 4 + rng.i64(-2..=2)).max(0) as u64;
             k.limit = Box3::at(k.centroid).grown(rng.i32(0..=1));
             k.radius2 = rng.u64(0..=3);
+        }
+        // The crossing lies at the edge of the rectangle, whose axes are those of the grid.
+        5 => {
+            k.centroid = [0, 1, 2].map(|i| i32::midpoint(a.centroid[i], b.centroid[i]));
+            k.centroid[axis] += rng.i32(-3..=3);
+            k.rect.axes = [[0; 3]; 2];
+            k.rect.axes[0][axis] = 16384;
+            k.rect.axes[1][(axis + 1) % 3] = -16384;
+            (k.rect.low, k.rect.high) = ([-rng.i32(0..=3); 2], [rng.i32(0..=3); 2]);
         }
         // Everything in one corner: many ties.
         _ => {

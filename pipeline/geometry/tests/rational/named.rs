@@ -1,30 +1,33 @@
 //! Rows N35…N65 of the numeric catalogue, where they concern two ends and what is between them.
 
 use fastrand::Rng;
+use pvmap_geometry::Rect;
 use pvmap_geometry::bounds::Box3;
 use pvmap_geometry::disc::{Disc, Profile, blocks, faces_both, segment_meets};
 
 use crate::oracle::{blocks_by_fractions, check, clip, minus, vector};
 use crate::{SIDE, cases, random_disc};
 
-const PROFILES: [Profile; 2] = [Profile::Paper, Profile::Patch];
+const PROFILES: [Profile; 3] = [Profile::Paper, Profile::Patch, Profile::Oriented];
 /// No box limits it.
 const ANYWHERE: Box3 = Box3 { min: [-SIDE; 3], max: [2 * SIDE; 3] };
 
 /// A surfel of no size that looks everywhere.
 fn end(centroid: [i32; 3]) -> Disc {
-    Disc { centroid, normal: [0; 3], two_sided: true, radius2: 0, limit: Box3::at(centroid) }
+    let (normal, limit) = ([0; 3], Box3::at(centroid));
+    Disc { centroid, normal, two_sided: true, radius2: 0, limit, rect: Rect::NONE }
 }
 
 fn disc(centroid: [i32; 3], normal: [i16; 3], radius: u64) -> Disc {
-    Disc { centroid, normal, two_sided: false, radius2: radius * radius, limit: ANYWHERE }
+    let (radius2, limit) = (radius * radius, ANYWHERE);
+    Disc { centroid, normal, two_sided: false, radius2, limit, rect: Rect::NONE }
 }
 
-/// Says whether a disc blocks, which both profiles and fractions must agree on.
+/// Says whether a disc blocks, which all profiles and fractions must agree on.
 fn is_blocked(a: &Disc, b: &Disc, k: &Disc) -> bool {
     check(a, b, k);
-    let [paper, patch] = PROFILES.map(|profile| blocks(profile, a, b, k));
-    assert_eq!(paper, patch, "{a:?} {b:?} {k:?}");
+    let [paper, patch, oriented] = PROFILES.map(|profile| blocks(profile, a, b, k));
+    assert_eq!([paper; 2], [patch, oriented], "{a:?} {b:?} {k:?}");
     paper
 }
 
@@ -346,7 +349,9 @@ fn n47_cube_symmetries_change_no_verdict() {
                     let max = [0, 1, 2].map(|i| p[i].max(q[i]));
                     let normal = turned(disc.normal.map(i32::from)).map(|v| v as i16);
                     let (centroid, limit) = (turned(disc.centroid), Box3 { min, max });
-                    Disc { centroid, normal, limit, ..*disc }
+                    let axes = disc.rect.axes.map(|axis| turned(axis.map(i32::from)));
+                    let rect = Rect { axes: axes.map(|axis| axis.map(|v| v as i16)), ..disc.rect };
+                    Disc { centroid, normal, limit, rect, ..*disc }
                 };
                 let [a, b, k] = [a, b, k].map(turn);
                 let found =
@@ -433,7 +438,8 @@ fn n48_a_wider_disc_blocks_no_less() {
     for _ in 0..cases(100_000) {
         let size = 1 << rng.u32(2..=22);
         let [a, b, k] = [0; 3].map(|_| random_disc(&mut rng, size));
-        let wide = Disc { radius2: k.radius2 * 2, limit: k.limit.grown(3), ..k };
+        let wide =
+            Disc { radius2: k.radius2 * 2, limit: k.limit.grown(3), rect: k.rect.grown(2), ..k };
         for profile in PROFILES {
             if blocks(profile, &a, &b, &k) {
                 assert!(blocks(profile, &a, &b, &wide), "{profile:?} {a:?} {b:?} {k:?}");

@@ -39,14 +39,24 @@ pub(crate) fn blocks_by_fractions(profile: Profile, a: &Disc, b: &Disc, k: &Disc
     let within = |v: &[Q; 3]| dot(v, v);
     let on_disc = within(&minus(&x, &ck)) <= q(k.radius2.into());
     let (low, high) = (vector(k.limit.min), vector(k.limit.max));
+    let on_patch = || {
+        (0..3).all(|i| low[i] <= x[i] && x[i] <= high[i])
+            && within(&minus(&x, &ca)) > q(a.radius2.into())
+            && within(&minus(&x, &cb)) > q(b.radius2.into())
+    };
+    let in_rect = || {
+        (0..2).all(|i| {
+            // An axis stands for one of length 1.
+            let axis = k.rect.axes[i].map(|c| q(c.into()) / q(1 << 14));
+            let along = dot(&axis, &minus(&x, &ck));
+            q(k.rect.low[i].into()) <= along && along <= q(k.rect.high[i].into())
+        })
+    };
     on_disc
         && match profile {
             Profile::Paper => clip(&ca, &d, &low, &high),
-            Profile::Patch => {
-                (0..3).all(|i| low[i] <= x[i] && x[i] <= high[i])
-                    && within(&minus(&x, &ca)) > q(a.radius2.into())
-                    && within(&minus(&x, &cb)) > q(b.radius2.into())
-            }
+            Profile::Patch => on_patch(),
+            Profile::Oriented => on_patch() && in_rect(),
         }
 }
 
@@ -82,11 +92,13 @@ fn faces_by_fractions(a: &Disc, b: &Disc) -> bool {
 
 /// Holds verdicts on three discs against fractions, and against themselves from the other end.
 pub(crate) fn check(a: &Disc, b: &Disc, k: &Disc) {
-    for profile in [Profile::Paper, Profile::Patch] {
+    for profile in [Profile::Paper, Profile::Patch, Profile::Oriented] {
         let got = blocks(profile, a, b, k);
         assert_eq!(got, blocks_by_fractions(profile, a, b, k), "{profile:?} {a:?} {b:?} {k:?}");
         assert_eq!(got, blocks(profile, b, a, k), "asymmetric {profile:?} {a:?} {b:?} {k:?}");
     }
+    // It takes places away and adds none.
+    assert!(!blocks(Profile::Oriented, a, b, k) || blocks(Profile::Patch, a, b, k));
     assert_eq!(faces_both(a, b), faces_by_fractions(a, b), "{a:?} {b:?}");
     assert_eq!(faces_both(a, b), faces_both(b, a), "{a:?} {b:?}");
 }

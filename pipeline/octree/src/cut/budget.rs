@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use pvmap_store::StoreError;
 use pvmap_store::table::Stack;
 
-/// Items of a block: 80 KiB of nodes, 176 KiB of surfels.
+/// Items of a block: 80 KiB of nodes, 176 KiB of surfels, 56 KiB of rectangles.
 pub(super) const BLOCK_ITEMS: usize = 1 << 11;
 
 /// A number of bytes that several threads take from.

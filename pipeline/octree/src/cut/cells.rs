@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use pvmap_geometry::morton;
+use pvmap_geometry::disc::Profile;
+use pvmap_geometry::{Rect, morton};
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Shape, Split, Surfel};
 
@@ -19,6 +20,7 @@ pub(super) struct Rules {
     pub(super) leaf_capacity: u64,
     pub(super) max_spread: u16,
     pub(super) shape: Shape,
+    pub(super) profile: Profile,
     /// Points that a cutter may hold; a cell of more is read again when they are needed.
     pub(super) max_held: usize,
 }
@@ -28,6 +30,8 @@ pub(super) struct Rules {
 pub(super) struct Part {
     pub(super) nodes: Blocks<Node>,
     pub(super) surfels: Blocks<Surfel>,
+    /// Of each surfel, for profile `oriented`.
+    pub(super) rects: Blocks<Rect>,
 }
 
 /// Builds the octree of one bin (of all points in `paper`) while its points come in.
@@ -99,7 +103,7 @@ impl<'a> Cutter<'a> {
             rules,
             budget,
             bin,
-            tree: Part { nodes: Blocks::new(), surfels: Blocks::new() },
+            tree: Part { nodes: Blocks::new(), surfels: Blocks::new(), rects: Blocks::new() },
             open: Vec::new(),
             pending: Cell { codes: morton::cell_range(0, 0), ..Cell::default() },
         }
@@ -238,6 +242,9 @@ impl<'a> Cutter<'a> {
         surfel.level = cell.level;
         surfel.node = id;
         self.tree.nodes[id].n_points = surfel.n_points;
+        if self.rules.profile == Profile::Oriented {
+            self.tree.rects.push(self.budget, points.rect(&surfel)?)?;
+        }
         self.tree.surfels.push(self.budget, surfel)?;
         self.close(id);
         Ok(())

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use pvmap_geometry::normal::{self, NORMAL_LENGTH, Normal};
-use pvmap_geometry::{Box3, GridPoint};
+use pvmap_geometry::rect::Moments;
+use pvmap_geometry::{Box3, GridPoint, Rect};
 use pvmap_vmap::{Shape, Surfel};
 
 use super::points::{LeafPoint, Reader};
@@ -118,6 +119,27 @@ impl<'a> LeafPoints<'a> {
             bin: self.bin,
             node: 0,
         })
+    }
+
+    /// Makes the rectangle of the leaf's surfel, as far as its points reach, until
+    /// [`spacing::fill`](super::spacing::fill) makes it wider; none without a normal.
+    ///
+    /// # Errors
+    /// Those of [`Reader::each`].
+    ///
+    /// Source: [F-22].
+    pub(super) fn rect(&self, surfel: &Surfel) -> Result<Rect, OctreeError> {
+        if surfel.normal == [0; 3] {
+            return Ok(Rect::NONE);
+        }
+        let offset = |p: &LeafPoint| {
+            [0, 1, 2].map(|i| i64::from(p.key.g[i]) - i64::from(surfel.centroid[i]))
+        };
+        let mut moments = Moments::new(surfel.normal);
+        self.each(|p| moments.add(offset(p)))?;
+        let mut rect = Rect::along(moments.axes());
+        self.each(|p| rect.hold(offset(p)))?;
+        Ok(rect)
     }
 
     /// Averages the normals; says whether the leaf is two-sided.

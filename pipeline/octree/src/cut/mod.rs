@@ -43,9 +43,9 @@ pub struct CutOptions {
     pub max_spread: u16,
     /// Which of the two trees.
     pub shape: Shape,
-    /// Which radius the surfels get: `Patch` raises R² to h².
+    /// Which radius the surfels get: all but `Paper` raise R² to h². `Oriented` has rectangles.
     pub profile: Profile,
-    /// Where the half spacings come from; `Neighbors` widens R of `Patch` by them.
+    /// Where the half spacings come from; `Neighbors` widens R of all but `Paper` by them.
     pub spacing: Spacing,
 }
 
@@ -54,8 +54,8 @@ pub struct CutOptions {
 pub struct CutMemory {
     /// For the points that are held. Less than they need costs time, not the cut.
     pub points_bytes: u64,
-    /// For the tree, 40 bytes a node and 88 a surfel, and its last blocks: less than 256 KiB a bin
-    /// and as much when the bins are joined.
+    /// For the tree, 40 bytes a node, 88 a surfel and 28 a rectangle, and its last blocks: less
+    /// than 312 KiB a bin and as much when the bins are joined.
     pub tree_bytes: u64,
 }
 
@@ -122,6 +122,7 @@ fn cutters<'a>(
         leaf_capacity: options.leaf_capacity,
         max_spread: options.max_spread,
         shape: options.shape,
+        profile: options.profile,
         max_held: (held_bytes / size_of::<LeafPoint>() as u64) as usize,
     };
     bins.map(|bin| Cutter::new(reader, rules, budget, bin)).collect()
@@ -132,17 +133,21 @@ fn join(shape: Shape, n_points: u64, parts: Vec<Part>) -> Result<Tree, OctreeErr
     let n_roots = usize::from(shape == Shape::Binned);
     let n_nodes = n_roots + parts.iter().map(|t| t.nodes.len()).sum::<usize>();
     let n_surfels = parts.iter().map(|t| t.surfels.len()).sum();
+    let n_rects = parts.iter().map(|t| t.rects.len()).sum();
     let end = checked_id(n_nodes - 1)? + 1;
     // Room that is not used until the parts have given theirs back.
-    let mut tree =
-        Tree { nodes: Vec::with_capacity(n_nodes), surfels: Vec::with_capacity(n_surfels) };
+    let mut tree = Tree {
+        nodes: Vec::with_capacity(n_nodes),
+        surfels: Vec::with_capacity(n_surfels),
+        rects: Vec::with_capacity(n_rects),
+    };
     if shape == Shape::Binned {
         // There are at most as many surfels as nodes.
         let end_surfel = n_surfels as u32;
         tree.nodes.push(Node { end, end_surfel, ..root_node(shape, n_points) });
     }
     let parent_of_tops = if shape == Shape::Binned { 0 } else { NO_PARENT };
-    for Part { nodes, surfels } in parts {
+    for Part { nodes, surfels, rects } in parts {
         let (first, first_surfel) = (tree.nodes.len() as u32, tree.surfels.len() as u32);
         nodes.move_to(&mut tree.nodes, |mut node| {
             let is_top = node.parent == NO_PARENT;
@@ -156,6 +161,7 @@ fn join(shape: Shape, n_points: u64, parts: Vec<Part>) -> Result<Tree, OctreeErr
             surfel.node += first;
             surfel
         });
+        rects.move_to(&mut tree.rects, |rect| rect);
     }
     Ok(tree)
 }

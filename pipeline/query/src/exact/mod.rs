@@ -16,7 +16,7 @@ use std::num::NonZero;
 
 use pvmap_geometry::disc::{Disc, faces_both};
 use pvmap_geometry::normal::Normal;
-use pvmap_geometry::{Box3, Frame, GridPoint};
+use pvmap_geometry::{Box3, Frame, GridPoint, Rect};
 use pvmap_vmap::{MapView, OctreeView};
 use rayon::prelude::*;
 
@@ -147,6 +147,7 @@ impl StoredPoint {
             two_sided: !self.oriented,
             radius2: delta2,
             limit: ANYWHERE,
+            rect: Rect::NONE,
         }
     }
 }

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::{self, Normal};
-use pvmap_geometry::{Box3, Frame, GridPoint, morton};
+use pvmap_geometry::{Box3, Frame, GridPoint, Rect, morton};
 use pvmap_vmap::container::{BLOCK_BYTES, Written, align, head_bytes};
 use pvmap_vmap::frame::{CrsKind, FrameRecord};
 use pvmap_vmap::links::LinkEncoder;
-use pvmap_vmap::map::{SECTIONS, close_map, config_text};
+use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map, config_text};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
 use pvmap_vmap::tree::{fill_overhangs, root_node};
 use pvmap_vmap::{MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
@@ -233,7 +233,10 @@ impl Parts {
             (FrameRecord::BYTES, frame.to_bytes()),
             (0, Vec::new()),
         ];
-        let named = SECTIONS.into_iter().zip(contents);
+        let rects = (profile == Profile::Oriented)
+            .then(|| (Rect::BYTES, tree.rects.iter().flat_map(Record::to_bytes).collect()));
+        let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
+        let named = names.zip(contents.into_iter().chain(rects));
         Parts { sections: named.map(|(name, (size, bytes))| (name, size as u32, bytes)).collect() }
     }
 

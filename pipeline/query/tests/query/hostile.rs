@@ -1,6 +1,7 @@
 //! Files that are nonsense under right checksums: errors or answers, never a panic or a hang.
 
 use crate::common::{About, Cut, Parts, frame, grow, random_links, random_points, siblings};
+use crate::sound::rect;
 use fastrand::Rng;
 use pvmap_geometry::disc::Profile;
 use pvmap_query::{Ball, Light, Map, Place, QueryError, RegionAnswer, Sight, Snap};
@@ -66,9 +67,12 @@ fn counts_of(answer: RegionAnswer) -> (Sight, [u32; 2], u128) {
 
 fn parts(rng: &mut Rng, given: bool) -> Parts {
     let shape = if rng.bool() { Shape::Binned } else { Shape::Paper };
-    let profile = if rng.bool() { Profile::Patch } else { Profile::Paper };
+    let profile = [Profile::Patch, Profile::Paper, Profile::Oriented][rng.usize(..3)];
     let cut = Cut { shape, leaf_capacity: 2, max_level: 9, few: 1000 };
-    let tree = grow(&random_points(rng, 60), cut);
+    let mut tree = grow(&random_points(rng, 60), cut);
+    if profile == Profile::Oriented {
+        tree.rects = tree.surfels.iter().map(rect).collect();
+    }
     let links = random_links(rng, &tree, &siblings(&tree), 200);
     let links_per_frame = rng.usize(1..50);
     Parts::new(&tree, &links, About { profile, given, links_per_frame, ..About::default() })

@@ -15,7 +15,7 @@ fn brute_force(tree: &Tree, profile: Profile, g: GridPoint, n: Option<[f32; 3]>)
     let n = n.map(|n| normal::quantise(n).unwrap());
     let here = g.map(|v| v as i32);
     let distance2 = |s: &Surfel| match profile {
-        Profile::Patch => s.patch.distance2(here),
+        Profile::Patch | Profile::Oriented => s.patch.distance2(here),
         Profile::Paper => s.patch.grown(-(s.half_spacing as i32)).distance2(here),
     };
     if let Some(normal) = n {

@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use fastrand::Rng;
-use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile, segment_meets};
+use pvmap_geometry::{Box3, Rect};
 use pvmap_query::{ErrorKind, Light, Located, Map, Place, QueryError, Sight, Snap};
 
 use crate::common::frame;
@@ -29,12 +29,24 @@ fn hit(profile: Profile, o: [i128; 3], d: [i128; 3], k: &Disc) -> Option<(i128, 
     }
     let off2: i128 = (0..3).map(|i| (h * d[i] - s * w[i]).pow(2)).sum();
     let far = [0, 1, 2].map(|i| (o[i] + 64 * d[i]) as i32);
-    let within = match profile {
-        Profile::Paper => segment_meets(o.map(|v| v as i32), far, &k.limit),
-        Profile::Patch => (0..3).all(|i| {
+    let in_box = || {
+        (0..3).all(|i| {
             let x = o[i] * s + h * d[i];
             i128::from(k.limit.min[i]) * s <= x && x <= i128::from(k.limit.max[i]) * s
-        }),
+        })
+    };
+    let in_rect = || {
+        (0..2).all(|i| {
+            let axis = k.rect.axes[i].map(i128::from);
+            let along: i128 = (0..3).map(|j| axis[j] * (h * d[j] - s * w[j])).sum();
+            let [low, high] = [k.rect.low[i], k.rect.high[i]].map(|v| i128::from(v) << 14);
+            low * s <= along && along <= high * s
+        })
+    };
+    let within = match profile {
+        Profile::Paper => segment_meets(o.map(|v| v as i32), far, &k.limit),
+        Profile::Patch => in_box(),
+        Profile::Oriented => in_box() && in_rect(),
     };
     (within && off2 <= i128::from(k.radius2) * s * s).then_some((h, s))
 }
@@ -49,7 +61,7 @@ fn first(sound: &Sound, o: [i128; 3], d: [i128; 3], from: Option<u32>) -> Option
             let at = |i: usize| s * (o[i] - i128::from(own.centroid[i])) + h * d[i];
             let near =
                 (0..3).map(|i| at(i).pow(2)).sum::<i128>() <= i128::from(own.radius2) * s * s;
-            if a == id || !sound.sees(a, id) || sound.profile == Profile::Patch && near {
+            if a == id || !sound.sees(a, id) || sound.profile != Profile::Paper && near {
                 continue;
             }
         }
@@ -181,7 +193,7 @@ fn check_all_from_the_air(rng: &mut Rng, sound: &Sound, map: &Map<'_>) {
     let eye = frame().world_of_real(g.map(|v| f64::from(v) + 0.5));
     let air = frame().steps_of_query(eye).map(|v| v.floor() as i32);
     let (normal, two_sided, limit) = ([0; 3], false, Box3::at(air));
-    let eye_disc = Disc { centroid: air, normal, two_sided, radius2: 0, limit };
+    let eye_disc = Disc { centroid: air, normal, two_sided, radius2: 0, limit, rect: Rect::NONE };
     let discs = &sound.discs;
     let is_seen = |a: usize| {
         let hides =
@@ -223,6 +235,7 @@ fn v3_a_light_in_the_air_reaches_what_nothing_hides() {
                 two_sided: false,
                 radius2: 0,
                 limit: Box3::at(air),
+                rect: Rect::NONE,
             };
             let own = &sound.discs[a as usize];
             let hides =

@@ -2,8 +2,9 @@
 
 use fastrand::Rng;
 use pvmap_geometry::disc::{self, Disc, Profile};
-use pvmap_geometry::normal;
-use pvmap_vmap::{Shape, Tree};
+use pvmap_geometry::rect::Moments;
+use pvmap_geometry::{Rect, normal};
+use pvmap_vmap::{Shape, Surfel, Tree};
 
 use crate::common::{About, Cut, Parts, Sample, grow, siblings};
 
@@ -30,7 +31,10 @@ impl Sound {
             };
             let far2 = (0..3).map(|i| off(i) * off(i)).sum::<u64>();
             let h2 = u64::from(surfel.half_spacing).pow(2);
-            surfel.radius2 = if profile == Profile::Patch { far2.max(h2) } else { far2 };
+            surfel.radius2 = if profile == Profile::Paper { far2 } else { far2.max(h2) };
+        }
+        if profile == Profile::Oriented {
+            tree.rects = tree.surfels.iter().map(rect).collect();
         }
         let discs: Vec<Disc> =
             (0..tree.surfels.len() as u32).map(|i| tree.disc(i, profile)).collect();
@@ -84,6 +88,18 @@ impl Sound {
     }
 }
 
+/// Makes the rectangle of a surfel, narrower than its box, along directions in its plane.
+pub(crate) fn rect(surfel: &Surfel) -> Rect {
+    if surfel.normal == [0; 3] {
+        return Rect::NONE;
+    }
+    let mut moments = Moments::new(surfel.normal);
+    moments.add([1000, -700, 1900]);
+    let wide = (0..3).map(|i| surfel.patch.max[i] - surfel.patch.min[i]).max();
+    let steps = wide.map_or(1, |wide| wide / 3 + 1);
+    Rect { low: [-steps, -1 - steps / 2], high: [steps; 2], ..Rect::along(moments.axes()) }
+}
+
 /// Gives points on the inner faces of a box, about k × k on each, with normals to the inside.
 pub(crate) fn room(rng: &mut Rng, k: u32) -> Vec<Sample> {
     let last = (1 << 22) - 1;
@@ -132,7 +148,8 @@ pub(crate) fn maps(seed: u64, n: usize) -> impl Iterator<Item = Sound> {
             points.extend(plates(&mut rng, 25));
         }
         let shape = if round % 3 != 0 { Shape::Binned } else { Shape::Paper };
-        let profile = if round % 2 == 0 { Profile::Patch } else { Profile::Paper };
+        let profile =
+            [Profile::Patch, Profile::Paper, Profile::Oriented, Profile::Paper][round % 4];
         let leaf_capacity = rng.usize(3..6);
         let cut = Cut { shape, leaf_capacity, max_level: 5, few: 3 << 18 };
         Sound::new(&points, cut, profile)

@@ -1,5 +1,5 @@
 use super::*;
-use crate::bounds;
+use crate::bounds::{self, tests::rect};
 use fastrand::Rng;
 use pvmap_geometry::{Box3, disc, normal};
 
@@ -39,12 +39,14 @@ fn sheet_discs(rng: &mut Rng) -> Vec<Disc> {
         let mut limit = Box3::at(centroid).grown((radius * 0.9) as i32 + 1);
         let axis = rng.usize(..3);
         limit.max[axis] -= (radius * rng.f64() * 0.9) as i32;
+        let normal = if rng.u8(..32) == 0 { [0; 3] } else { normal::rescale(n) };
         discs.push(Disc {
             centroid,
-            normal: if rng.u8(..32) == 0 { [0; 3] } else { normal::rescale(n) },
+            normal,
             two_sided,
             radius2: (radius * radius) as u64,
             limit,
+            rect: rect(rng, normal, radius as i32),
         });
     }
     discs
@@ -84,7 +86,8 @@ fn v2_a_sheet_never_contradicts_its_surfels() {
     let n_trials = if std::env::var_os("PVMAP_SLOW_TESTS").is_some() { 60_000 } else { 3_000 };
     for _ in 0..n_trials {
         let mut discs = sheet_discs(&mut rng);
-        let (n_sheet, profile) = (discs.len(), [Profile::Paper, Profile::Patch][rng.usize(..2)]);
+        let profile = [Profile::Paper, Profile::Patch, Profile::Oriented][rng.usize(..3)];
+        let n_sheet = discs.len();
         if n_sheet == 0 {
             continue;
         }

@@ -4,7 +4,7 @@ use fastrand::Rng;
 use pvmap_geometry::disc::{Disc, Profile, blocks, faces_both};
 use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::normal::NORMAL_LENGTH;
-use pvmap_geometry::{Box3, GridPoint, morton};
+use pvmap_geometry::{Box3, GridPoint, Rect, morton};
 use pvmap_vmap::tree::disc_of;
 use pvmap_vmap::{Shape, Split, Surfel, Tree};
 
@@ -166,10 +166,11 @@ fn blocks_a_vertical_line(surfel: &Surfel, away: u32) -> bool {
             two_sided: false,
             radius2: 0,
             limit: Box3::EMPTY,
+            rect: Rect::NONE,
         }
     };
     let profile = Profile::Patch;
-    blocks(profile, &end(-1000), &end(1000), &disc_of(surfel, profile))
+    blocks(profile, &end(-1000), &end(1000), &disc_of(surfel, None, profile))
 }
 
 #[test]
@@ -198,7 +199,7 @@ fn n27_a_thin_wall_is_two_sided() {
             assert_eq!(blocks_a_vertical_line(&tree.surfels[0], away), expected, "{away}");
             assert_eq!(expected, away <= 20, "{away}");
         }
-        let wall = disc_of(&tree.surfels[0], Profile::Patch);
+        let wall = disc_of(&tree.surfels[0], None, Profile::Patch);
         let [x, y, z] = wall.centroid;
         let eye = Disc { normal: [0; 3], centroid: [x, y, z + 50 * i32::from(normal[2])], ..wall };
         assert!(faces_both(&eye, &wall) && faces_both(&wall, &eye));

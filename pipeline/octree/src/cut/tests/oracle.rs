@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::normal::Normal;
-use pvmap_geometry::{Box3, morton};
+use pvmap_geometry::{Box3, Rect, morton};
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Shape, Spacing, Split, Surfel, Tree};
 
@@ -107,6 +107,9 @@ impl Oracle {
             bin: cell.bin,
             node: id,
         });
+        if self.options.profile == Profile::Oriented {
+            self.tree.rects.push(rect_of(points, centroid, normal));
+        }
         self.close(id, points.len());
     }
 
@@ -189,13 +192,20 @@ impl Oracle {
             let h = s.half_spacing as i32;
             s.patch.min = s.patch.min.map(|v| v - h);
             s.patch.max = s.patch.max.map(|v| v + h);
-            if self.options.profile == Profile::Patch {
+            if self.options.profile != Profile::Paper {
                 let (h, far2) = (i128::from(h), i128::from(s.radius2));
                 let far = root(far2) + i128::from(root(far2).pow(2) < far2);
                 s.radius2 = match self.options.spacing {
                     Spacing::Leaf => far2.max(h * h),
                     Spacing::Neighbors => ((far + h) * (far + h)).min((1 << 46) - 1),
                 } as u64;
+            }
+        }
+        for (rect, s) in self.tree.rects.iter_mut().zip(&self.tree.surfels) {
+            if s.normal != [0; 3] {
+                let margin = (3 * s.half_spacing as i32 + 1) / 2;
+                rect.low = rect.low.map(|v| v - margin);
+                rect.high = rect.high.map(|v| v + margin);
             }
         }
         for node in &mut self.tree.nodes {
@@ -210,6 +220,42 @@ impl Oracle {
         }
         self.tree
     }
+}
+
+/// Gives the rectangle without its margin: [F-22] as it stands.
+fn rect_of(points: &[TestPoint], centroid: [u32; 3], normal: Normal) -> Rect {
+    if normal == [0; 3] {
+        return Rect { axes: [[0; 3]; 2], low: [0; 2], high: [0; 2] };
+    }
+    let n = wide(normal);
+    let after = (largest(n) + 1) % 3;
+    let unit = [0, 1, 2].map(|i| i128::from(i == after));
+    let x = rescaled([0, 1, 2].map(|i| dot(n, n) * unit[i] - n[after] * n[i]));
+    let y = rescaled(cross(n, wide(x)));
+    let offset = |p: &TestPoint| [0, 1, 2].map(|i| i128::from(p.g[i]) - i128::from(centroid[i]));
+    let at: Vec<[i128; 2]> =
+        points.iter().map(|p| [dot(wide(x), offset(p)), dot(wide(y), offset(p))]).collect();
+    let sum = |of: fn(&[i128; 2]) -> i128| at.iter().map(of).sum::<i128>();
+    let (mut p, mut q) = (sum(|a| a[0] * a[0] - a[1] * a[1]), sum(|a| 2 * a[0] * a[1]));
+    while p.abs() >= 1 << 30 || q.abs() >= 1 << 30 {
+        (p, q) = (p.div_euclid(2), q.div_euclid(2));
+    }
+    let r = root(p * p + q * q);
+    let [c, s] = match (p, q) {
+        (0, 0) => [1, 0],
+        _ if p >= 0 => [r + p, q],
+        _ => [q, r - p],
+    };
+    let u = rescaled([0, 1, 2].map(|i| c * i128::from(x[i]) + s * i128::from(y[i])));
+    let axes = [u, rescaled(cross(n, wide(u)))];
+    let along = |axis: Normal| points.iter().map(move |p| dot(wide(axis), offset(p)));
+    let low = axes.map(|axis| along(axis).map(|v| v.div_euclid(1 << 14)).min().unwrap_or(0));
+    let high = axes.map(|axis| along(axis).map(|v| -(-v).div_euclid(1 << 14)).max().unwrap_or(0));
+    Rect { axes, low: low.map(|v| v.min(0) as i32), high: high.map(|v| v.max(0) as i32) }
+}
+
+fn cross(a: [i128; 3], b: [i128; 3]) -> [i128; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Gives the half spacing around each leaf by going through all nodes.

@@ -68,7 +68,7 @@ fn random_options(rng: &mut Rng) -> impl Iterator<Item = CutOptions> {
     let spacing = if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors };
     let both = [Shape::Paper, Shape::Binned];
     both.into_iter().flat_map(move |shape| {
-        [Profile::Paper, Profile::Patch].map(|profile| CutOptions {
+        [Profile::Paper, Profile::Patch, Profile::Oriented].map(|profile| CutOptions {
             max_level,
             leaf_capacity,
             max_spread,
