@@ -114,6 +114,7 @@ pub fn build_with(
         profile: config.profile,
         spacing: config.spacing,
         interaction: config.interaction.clone(),
+        approximation: config.approximation,
         memory_bytes: limits.memory_bytes,
         checkpoint: checkpoints.every,
         restart: checkpoints.restart,

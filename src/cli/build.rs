@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use pvmap::config::{RawConfig, RawProfile, RawSpacing, RawTree, at_lines};
+use pvmap::config::{RawConfig, RawInteraction, RawProfile, RawSpacing, RawTree, at_lines};
 use pvmap::{Built, Checkpoints, Error};
 
 use super::{Context, Outcome, mib, refuse_input, threads_parser};
@@ -18,11 +18,13 @@ Presets:
   depth8    cells down to 1/256 of the scan's extent, some 50 points a surfel: the default
   accurate  smaller surfels where points are spread: fewer wrong answers, for
             some 1.3 times the time
+  quick     depth8, but what is far is seen coarsely: in a cave 5 times quicker
+            for 0.2 % more wrong answers
   preview   cells down to 1/64, some 200 points a surfel: a first look
   paper     as in the paper: a plain octree, with averaged normals at edges
 
-A configuration file has the same names as keys, all optional, and a table for a given
-interaction list; flags override it. In brackets above stands what depth8 says:
+A configuration file has the same names as keys, all optional, and a table for what pairs are
+decided; flags override it. In brackets above stands what depth8 says:
   max_level = 8
   leaf_capacity = 50
   max_spread = 0
@@ -33,6 +35,8 @@ interaction list; flags override it. In brackets above stands what depth8 says:
   memory = \"1GiB\"
   [interaction]
   list = \"pairs.csv\"     columns node_a,node_b; instead of all siblings
+  opening_angle = 0.15   0 decides all leaf pairs, and so does the default
+  min_form_factor = 1e-6
 
 A build can be stopped at any time and in any way (Ctrl-C, kill, power cut): what was there under
 the map's name stays, and the same command goes on where it was. Until the map is done, the tasks
@@ -100,6 +104,16 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     spacing: Option<RawSpacing>,
+    /// Approximate: do not open cells that are seen, from where they are
+    /// looked at, under at most this angle (side over distance, 0 to 1);
+    /// 0.15 is quick, 0.06 careful, 0 exact [depth8: 0]
+    #[arg(long, value_name = "ANGLE", verbatim_doc_comment)]
+    opening_angle: Option<f64>,
+    /// Approximate: leave out pairs, as if they did not see each other, of
+    /// which neither leaf's form factor to the other, unhindered, reaches
+    /// this much (0 to 1) [depth8: 0]
+    #[arg(long, value_name = "F", verbatim_doc_comment)]
+    min_form_factor: Option<f64>,
     /// Threads; 0 takes as many as the machine has [depth8: 0]
     #[arg(long, value_name = "N", value_parser = threads_parser())]
     threads: Option<usize>,
@@ -131,7 +145,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         spacing: args.spacing,
         threads: args.threads,
         memory: args.memory.clone(),
-        interaction: None,
+        interaction: Some(RawInteraction {
+            list: None,
+            opening_angle: args.opening_angle,
+            min_form_factor: args.min_form_factor,
+        }),
     };
     let raw = flags.over(RawConfig::find(&args.config)?);
     let list = raw.interaction.as_ref().and_then(|i| i.list.clone());

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use pvmap_geometry::disc::Profile;
 use pvmap_store::{InputFile, StoreError};
-use pvmap_visibility::VisibilityError;
 use pvmap_visibility::interaction::GIVEN_BYTES;
+use pvmap_visibility::{Approximation, VisibilityError};
 use pvmap_vmap::{Shape, Spacing};
 use serde::{Deserialize, Serialize};
 
@@ -14,15 +14,16 @@ use crate::limits::{Limits, parse_memory};
 use crate::rows::Rows;
 
 /// The presets of `configs/`, embedded.
-pub const PRESETS: [(&str, &str); 4] = [
+pub const PRESETS: [(&str, &str); 5] = [
     ("accurate", include_str!("../../configs/accurate.toml")),
     ("depth8", include_str!("../../configs/depth8.toml")),
     ("paper", include_str!("../../configs/paper.toml")),
     ("preview", include_str!("../../configs/preview.toml")),
+    ("quick", include_str!("../../configs/quick.toml")),
 ];
 
 /// What decides the content of a map.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BuildConfig {
     /// Deepest level of a cell, 1…21.
     pub max_level: u8,
@@ -39,6 +40,8 @@ pub struct BuildConfig {
     pub spacing: Spacing,
     /// Pairs of node ids to start from instead of all siblings. [V-5]
     pub interaction: Option<Vec<(u32, u32)>>,
+    /// What may be left out or seen coarsely; nothing in an exact map. [D-6]
+    pub approximation: Approximation,
 }
 
 impl Default for BuildConfig {
@@ -51,12 +54,13 @@ impl Default for BuildConfig {
             profile: Profile::Patch,
             spacing: Spacing::Leaf,
             interaction: None,
+            approximation: Approximation::default(),
         }
     }
 }
 
 /// A configuration file as it is written; every key may be missing.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RawConfig {
     /// `max_level`, 1…21.
@@ -112,11 +116,38 @@ pub enum RawSpacing {
 }
 
 /// The table `[interaction]`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RawInteraction {
     /// A CSV file with columns node_a,node_b; relative to the configuration file.
     pub list: Option<PathBuf>,
+    /// `opening_angle`, the side of a cell over its distance, 0 to 1.
+    pub opening_angle: Option<f64>,
+    /// `min_form_factor`, 0 to 1.
+    pub min_form_factor: Option<f64>,
+}
+
+impl RawInteraction {
+    /// Takes what is set here, else what is set in `below`.
+    fn over(self, below: RawInteraction) -> RawInteraction {
+        RawInteraction {
+            list: self.list.or(below.list),
+            opening_angle: self.opening_angle.or(below.opening_angle),
+            min_form_factor: self.min_form_factor.or(below.min_form_factor),
+        }
+    }
+
+    fn approximation(&self) -> Result<Approximation, String> {
+        let share = |key: &str, value: Option<f64>| match value.unwrap_or(0.0) {
+            // A zero without a sign: it is told and compared.
+            v if (0.0..=1.0).contains(&v) => Ok(v.abs()),
+            v => Err(format!("{key} = {v}: it must be 0 to 1")),
+        };
+        Ok(Approximation {
+            opening_angle: share("opening_angle", self.opening_angle)?,
+            min_form_factor: share("min_form_factor", self.min_form_factor)?,
+        })
+    }
 }
 
 impl RawConfig {
@@ -130,6 +161,7 @@ impl RawConfig {
             let mut raw = parse(&name.display().to_string(), &text)?;
             raw.memory_bytes()
                 .and(raw.deepest_level())
+                .and(raw.interaction.clone().unwrap_or_default().approximation().map(|_| 0))
                 .map_err(|e| Error::Config(format!("{}: {e}", name.display())))?;
             let list = raw.interaction.as_mut().and_then(|i| i.list.as_mut());
             if let (Some(list), Some(folder)) = (list, name.parent()) {
@@ -162,7 +194,10 @@ impl RawConfig {
             spacing: self.spacing.or(below.spacing),
             threads: self.threads.or(below.threads),
             memory: self.memory.or(below.memory),
-            interaction: self.interaction.or(below.interaction),
+            interaction: match (self.interaction, below.interaction) {
+                (Some(own), Some(below)) => Some(own.over(below)),
+                (own, below) => own.or(below),
+            },
         }
     }
 
@@ -203,6 +238,7 @@ impl RawConfig {
         let memory_bytes = self.memory_bytes().map_err(Error::Config)?;
         let limits = Limits { threads: self.threads.unwrap_or(0), memory_bytes };
         limits.check()?;
+        let interaction = self.interaction.unwrap_or_default();
         let config = BuildConfig {
             max_level,
             leaf_capacity: self.leaf_capacity.unwrap_or(defaults.leaf_capacity),
@@ -223,7 +259,8 @@ impl RawConfig {
                 Some(RawSpacing::Leaf) => Spacing::Leaf,
                 Some(RawSpacing::Neighbors) => Spacing::Neighbors,
             },
-            interaction: match self.interaction.and_then(|i| i.list) {
+            approximation: interaction.approximation().map_err(Error::Config)?,
+            interaction: match interaction.list {
                 None => None,
                 Some(path) => {
                     let mut pairs = Vec::new();

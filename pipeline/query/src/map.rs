@@ -24,7 +24,7 @@ const LAST_STEP: i32 = grid::GRID_MAX as i32;
 pub struct Map<'a> {
     view: MapView<'a>,
     profile: Profile,
-    from_given_pairs: bool,
+    is_slanted: bool,
     pub(crate) frames: LinkFrames,
     pub(crate) kept: OnceLock<Kept>,
 }
@@ -38,9 +38,10 @@ impl<'a> Map<'a> {
         let view = MapView::open(bytes)?;
         let config = view.config()?;
         let profile = view.profile()?;
-        let from_given_pairs = config.lines().any(|line| line.starts_with("interaction_pairs = "));
+        let slanting = ["interaction_pairs = ", "opening_angle = "];
+        let is_slanted = config.lines().any(|line| slanting.iter().any(|s| line.starts_with(s)));
         let (frames, kept) = (LinkFrames::default(), OnceLock::new());
-        Ok(Map { view, profile, from_given_pairs, frames, kept })
+        Ok(Map { view, profile, is_slanted, frames, kept })
     }
 
     /// Does what [`Map::open`] does, for a map that keeps decoded links in so many bytes at the
@@ -62,9 +63,10 @@ impl<'a> Map<'a> {
         self.profile
     }
 
-    /// Says whether the build started from given pairs instead of all siblings. [V-5]
-    pub fn from_given_pairs(&self) -> bool {
-        self.from_given_pairs
+    /// Says whether links may join nodes that are not equally far below two siblings: the build
+    /// started from given pairs [V-5], or did not open some nodes that are no leaves.
+    pub(crate) fn is_slanted(&self) -> bool {
+        self.is_slanted
     }
 
     /// Gives the cell of a node in world units, lowest and highest corner.

@@ -88,7 +88,7 @@ impl Map<'_> {
         if met != ancestor {
             return Err(self.broken_node(low, "has no way up to the root"));
         }
-        Ok(LinksOver { sides: [before, after], is_given: self.from_given_pairs() })
+        Ok(LinksOver { sides: [before, after], is_slanted: self.is_slanted() })
     }
 
     /// Lists the nodes from `id` up that are after `bound`; gives the first that is not, too.
@@ -137,20 +137,20 @@ impl Side {
 #[derive(Debug)]
 pub(crate) struct LinksOver {
     sides: [Side; 2],
-    is_given: bool,
+    is_slanted: bool,
 }
 
 impl LinksOver {
     /// Walks them, the highest first: their lists are short and many questions need them.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let [a, b] = &self.sides;
-        let n = match (a.len.min(b.len), self.is_given) {
+        let n = match (a.len.min(b.len), self.is_slanted) {
             (0, _) => 0,
             (_, true) => a.len * b.len,
             (_, false) => a.len.max(b.len),
         };
-        (0..n).map(move |rank| match self.is_given {
-            // Any two nodes may have been given: no telling which on one side meets which.
+        (0..n).map(move |rank| match self.is_slanted {
+            // Any two nodes may be joined: no telling which on one side meets which.
             true => (a.nth_down(rank / b.len), b.nth_down(rank % b.len)),
             // From two siblings down, both sides at once; a leaf waits for the other.
             false => (a.nth_down(rank), b.nth_down(rank)),

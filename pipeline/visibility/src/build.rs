@@ -13,21 +13,21 @@ use pvmap_store::memory::require_disk;
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::{StoreError, Table, Watch, WorkFolder};
 use pvmap_vmap::frame::FrameRecord;
-use pvmap_vmap::map::config_text;
-use pvmap_vmap::{MapSummary, Shape, Spacing, Tree};
+use pvmap_vmap::{MapConfig, MapSummary, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
 use crate::bounds::{self, Bounds};
 use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
-use crate::interaction::checked_pairs;
+use crate::interaction::{GIVEN_BYTES, checked_pairs};
 use crate::journal::{self, Begun, Journal, SavedPlan};
 use crate::kernel::Counts;
+use crate::layers::{Approximation, Layer, layers};
 use crate::pairs::{Decider, Scene};
 use crate::shares::{MAX_LINKS_ABOVE, Shares};
 use crate::sheets::Sheets;
 use crate::sink::{Found, Sink, Taken};
-use crate::tasks::{Plan, n_leaf_pairs};
+use crate::tasks::{Plans, n_leaf_pairs, target_of};
 use crate::write::{WrittenMap, least_output_bytes, write};
 
 /// What decides the content of a map, and what does not.
@@ -47,6 +47,8 @@ pub struct BuildOptions {
     pub spacing: Spacing,
     /// Pairs to start from instead of all siblings. [V-5]
     pub interaction: Option<Vec<Pair>>,
+    /// What may be left out or seen coarsely. [D-6]
+    pub approximation: Approximation,
     /// Most anonymous memory to hold, less 16 MiB and 2 MiB a thread. [D-9]
     pub memory_bytes: u64,
     /// How long at most, about, finished tasks may wait for their commit.
@@ -112,14 +114,26 @@ pub fn build(
     watch: &dyn Watch,
 ) -> Result<BuildReport, VisibilityError> {
     let tree = input.tree;
-    let shares = Shares::new(tree, options.interaction.as_deref(), options.memory_bytes)?;
-    let starts = match &options.interaction {
+    let given = options.interaction.as_deref();
+    let given_bytes = given.map_or(0, |given| given.len() * GIVEN_BYTES) as u64;
+    let mut shares = Shares::new(&[tree], given_bytes, options.memory_bytes)?;
+    let starts = match given {
         Some(given) => checked_pairs(tree, given)?,
         // The root with itself: all siblings under it.
         None => tree.nodes.first().map(|_| (0, 0)).into_iter().collect(),
     };
     let config = config_of(options, options.interaction.as_ref().map(|_| starts.as_slice()));
     let mut saved = plan_of(input, &config);
+    let layers = if options.approximation.is_none() {
+        vec![Layer::all(tree, starts)]
+    } else {
+        let memory_bytes = options.memory_bytes;
+        let layers = layers(tree, &starts, &options.approximation, options.spacing, memory_bytes)?;
+        let trees: Vec<&Tree> = layers.iter().map(|layer| &*layer.tree).collect();
+        let lists_bytes = layers.iter().map(Layer::lists_bytes).sum::<u64>();
+        shares = Shares::new(&trees, given_bytes + lists_bytes, memory_bytes)?;
+        layers
+    };
     if options.restart {
         work.clear(|_| true)?;
     }
@@ -128,34 +142,41 @@ pub fn build(
     watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
-    let ground = Ground::new(tree, options.profile, shares.sheets_bytes, folder)?;
-    let scene = ground.scene(tree, options.profile);
-    watch.advance(tree.nodes.len() as u64);
-    let plan = match &begun {
-        Some(begun) => {
-            let target = shares.require_tasks(begun.target())?;
-            Plan::with_target(&scene, &starts, target, &shares.plan)?
-        }
-        None => Plan::new(&scene, &starts, &shares.plan)?,
+    let ground = |layer: &Layer<'_>| {
+        let sheets_bytes = shares.sheets_bytes / layers.len() as u64;
+        Ground::new(&layer.tree, layer.profile(options.profile), sheets_bytes, folder)
     };
-    saved.target = plan.target;
+    let grounds: Vec<Ground> = layers.iter().map(ground).collect::<Result<_, _>>()?;
+    let both = layers.iter().zip(&grounds);
+    let scenes: Vec<Scene<'_>> =
+        both.map(|(layer, ground)| ground.scene(layer, options.profile)).collect();
+    watch.advance(tree.nodes.len() as u64);
+    let n_pairs_of = |layer: &Layer<'_>| {
+        layer.starts.iter().map(|&pair| n_leaf_pairs(&layer.tree, pair)).sum::<u64>()
+    };
+    let n_pairs = layers.iter().map(n_pairs_of).sum();
+    saved.target = match &begun {
+        Some(begun) => shares.require_tasks(begun.target())?,
+        None => target_of(n_pairs, &shares.plan),
+    };
+    let plans = Plans::new(&scenes, &layers, saved.target, &shares.plan)?;
     let mut runs = Runs::new(work.path(), shares.runs_bytes);
-    let mut statuses = vec![None; plan.tasks.len()];
+    let mut statuses = vec![None; plans.n_tasks()];
     let done = |task: u32, status| statuses[task as usize] = Some(status);
-    let journal = Journal::new(work, saved, &plan, begun, &mut runs, watch, done)?;
+    let journal = Journal::new(work, saved, &plans, begun, &mut runs, watch, done)?;
     let n_tasks_resumed = statuses.iter().flatten().count() as u64;
     let full_links = shares.plan.task_links as usize;
     let sink = Sink::new(runs, statuses, journal, full_links, options.checkpoint);
-    let counts = decide(&scene, &starts, &plan, &sink, watch)?;
+    let counts = decide(&scenes, &layers, n_pairs, &plans, &sink, watch)?;
     let Taken { mut runs, statuses, journal, .. } = sink.into_taken();
-    let mut above = plan.combine(&statuses).peekable();
+    let mut above = plans.combine(&layers, &statuses).peekable();
     while above.peek().is_some() {
         let mut links: Vec<Pair> = above.by_ref().take(MAX_LINKS_ABOVE).collect();
         links.sort_unstable();
         runs.push(&links)?;
     }
     drop(above);
-    let n_tasks = plan.tasks.len() as u64;
+    let n_tasks = plans.n_tasks() as u64;
     let stopped = journal.stopped(n_tasks);
     let written = write(input, &config, runs, journal, watch).map_err(|e| match e {
         VisibilityError::Store(StoreError::Interrupted) => stopped,
@@ -206,40 +227,47 @@ impl Ground {
         Ok(Ground { discs, bounds, sheets, families })
     }
 
-    fn scene<'a>(&'a self, tree: &'a Tree, profile: Profile) -> Scene<'a> {
+    fn scene<'a>(&'a self, layer: &'a Layer<'_>, profile: Profile) -> Scene<'a> {
         let Ground { discs, bounds, sheets, families } = self;
+        let (tree, profile) = (&*layer.tree, layer.profile(profile));
         Scene { tree, discs, bounds, families, sheets, profile }
     }
 }
 
 /// Decides all tasks that are not done.
 fn decide(
-    scene: &Scene<'_>,
-    starts: &[Pair],
-    plan: &Plan,
+    scenes: &[Scene<'_>],
+    layers: &[Layer<'_>],
+    n_pairs: u64,
+    plans: &Plans,
     sink: &Sink,
     watch: &dyn Watch,
 ) -> Result<Counts, VisibilityError> {
-    let n_tasks = plan.tasks.len() as u64;
+    let n_tasks = plans.n_tasks() as u64;
     let (open, n_links_before) = {
         let taken = sink.lock();
         let is_open = |&i: &u32| taken.statuses[i as usize].is_none();
-        let mut open = Vec::with_capacity(plan.tasks.len());
-        open.extend((0..plan.tasks.len() as u32).filter(is_open));
+        let mut open = Vec::with_capacity(plans.n_tasks());
+        open.extend((0..n_tasks as u32).filter(is_open));
         (open, taken.runs.n_pairs())
     };
     let n_resumed = n_tasks - open.len() as u64;
     if n_resumed > 0 {
         watch.note(&format!("resuming: {n_resumed} of {n_tasks} tasks are done"));
     }
-    let n_pairs_of = |task: u32| n_leaf_pairs(scene.tree, plan.tasks[task as usize]);
-    let n_pairs = starts.iter().map(|&pair| n_leaf_pairs(scene.tree, pair)).sum();
+    let n_pairs_of = |task: u32| {
+        let (layer, pair) = plans.task(task);
+        n_leaf_pairs(scenes[layer].tree, pair)
+    };
     watch.stage("visibility", Some(n_pairs), "pairs");
     // What the plan settled by facing needs no task, and what is done needs none any more.
     watch.advance(n_pairs - open.iter().map(|&task| n_pairs_of(task)).sum::<u64>());
     watch.tasks(n_resumed, n_tasks, n_links_before);
     let (n_done, n_links) = (AtomicU64::new(n_resumed), AtomicU64::new(n_links_before));
-    let new_worker = || Worker { decider: Decider::new(*scene), found: sink.new_buffer() };
+    let new_worker = || Worker {
+        deciders: scenes.iter().map(|&scene| Decider::new(scene)).collect(),
+        found: sink.new_buffer(),
+    };
     let workers: Vec<Mutex<Worker<'_>>> =
         (0..rayon::current_num_threads()).map(|_| Mutex::new(new_worker())).collect();
     // Each task can be stolen: rayon's own pieces of a list last minutes where tasks do.
@@ -249,12 +277,14 @@ fn decide(
         // waits for it.
         let thread = rayon::current_thread_index().unwrap_or(0);
         let mut worker = workers[thread].lock().unwrap_or_else(PoisonError::into_inner);
-        let Worker { decider, found } = &mut *worker;
+        let Worker { deciders, found } = &mut *worker;
         let n_before = found.links.len();
-        let (a, b) = plan.tasks[task as usize];
+        let (layer, (a, b)) = plans.task(task);
+        let decider = &mut deciders[layer];
         // Caught here, so that the others stop and what is done is kept (F12).
         let decided = catch_unwind(AssertUnwindSafe(|| {
             let status = decider.decide(a, b, &mut found.links);
+            layers[layer].make_whole(&mut found.links[n_before..]);
             let n_new = (found.links.len() - n_before) as u64;
             let n_links = n_links.fetch_add(n_new, Ordering::Relaxed) + n_new;
             watch.advance(n_pairs_of(task));
@@ -268,7 +298,7 @@ fn decide(
             }
             Err(panic) => {
                 found.links.truncate(n_before);
-                *decider = Decider::new(*scene);
+                *decider = Decider::new(scenes[layer]);
                 Err(VisibilityError::Panicked(message_of(panic.as_ref())))
             }
         }
@@ -276,8 +306,9 @@ fn decide(
     let mut counts = Counts::default();
     let mut buffers = Vec::with_capacity(workers.len());
     for worker in workers {
-        let Worker { decider, found } = worker.into_inner().unwrap_or_else(PoisonError::into_inner);
-        counts.add(&decider.counts());
+        let Worker { deciders, found } =
+            worker.into_inner().unwrap_or_else(PoisonError::into_inner);
+        deciders.iter().for_each(|decider| counts.add(&decider.counts()));
         buffers.push(found);
     }
     settle(outcome, buffers, sink)?;
@@ -287,7 +318,7 @@ fn decide(
 /// What a thread of the pool decides with, and what it found; no two share a line of a cache.
 #[repr(align(128))]
 struct Worker<'a> {
-    decider: Decider<'a>,
+    deciders: Vec<Decider<'a>>,
     found: Found,
 }
 
@@ -351,12 +382,24 @@ fn plan_of(input: &MapInput<'_>, config: &str) -> SavedPlan {
 
 /// The canonical text of the keys that decide content. [F-14]
 fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
-    let pairs = interaction.map(|pairs| {
+    let interaction_pairs = interaction.map(|pairs| {
         let rows: Vec<u8> =
             pairs.iter().flat_map(|&(a, b)| [a.to_le_bytes(), b.to_le_bytes()].concat()).collect();
         (pairs.len() as u32, xxhash_rust::xxh3::xxh3_128(&rows))
     });
     let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
         *options;
-    config_text(max_level, leaf_capacity, max_spread, shape, profile, spacing, pairs)
+    let Approximation { opening_angle, min_form_factor } = options.approximation;
+    let config = MapConfig {
+        max_level,
+        leaf_capacity,
+        max_spread,
+        shape,
+        profile,
+        spacing,
+        interaction_pairs,
+        opening_angle,
+        min_form_factor,
+    };
+    config.to_text()
 }

@@ -30,7 +30,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::error::VisibilityError;
 use crate::pairs::Status;
-use crate::tasks::Plan;
+use crate::tasks::Plans;
 
 const PLAN: &str = "plan";
 const JOURNAL: &str = "journal";
@@ -250,13 +250,13 @@ impl Journal {
     pub fn new(
         work: WorkFolder,
         mut plan: SavedPlan,
-        tasks: &Plan,
+        plans: &Plans,
         begun: Option<Begun>,
         runs: &mut Runs,
         watch: &dyn Watch,
         mut done: impl FnMut(u32, Status),
     ) -> Result<Journal, VisibilityError> {
-        (plan.n_tasks, plan.tasks_digest) = (tasks.tasks.len() as u64, tasks.digest());
+        (plan.n_tasks, plan.tasks_digest) = (plans.n_tasks() as u64, plans.digest());
         let mut journal = Journal { work, plan, log: None, next_file: 0 };
         let Some(begun) = begun else { return Ok(journal) };
         let of_tasks = |p: &SavedPlan| format!("{} tasks, digest {:x}", p.n_tasks, p.tasks_digest);

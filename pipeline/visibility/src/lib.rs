@@ -7,7 +7,8 @@
 //! ([`candidates`]); what is left is decided in blocks of leaf pairs ([`block`]): first by sheets
 //! of surfels as wholes ([`sheets`], [`screen`]), then disc by disc ([`kernel`], [`packets`]),
 //! exactly. What is done is noted in a [`journal`], and a build that ended before its time is taken
-//! up where it ended. The room never asks how the tree came about and never approximates.
+//! up where it ended. The room never asks how the tree came about, and approximates only where it
+//! is told to ([`layers`]).
 //!
 //! Start reading at [`build::build`], then [`pairs`].
 
@@ -21,6 +22,7 @@ pub mod interaction;
 pub mod journal;
 pub mod kernel;
 mod lanes;
+pub mod layers;
 pub mod packets;
 pub mod pairs;
 mod pierce;
@@ -34,3 +36,4 @@ mod write;
 
 pub use build::{BuildOptions, BuildReport, MapInput, build, open_work};
 pub use error::VisibilityError;
+pub use layers::Approximation;

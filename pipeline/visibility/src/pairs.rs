@@ -242,7 +242,7 @@ mod tests {
     use super::*;
     use crate::candidates::families;
     use crate::interaction::sibling_pairs;
-    use crate::tasks::{Plan, PlanLimits};
+    use crate::tasks::{Plan, PlanLimits, n_leaf_pairs, target_of};
     use fastrand::Rng;
     use pvmap_geometry::{Box3, disc, morton, normal};
     use pvmap_store::Table;
@@ -526,7 +526,9 @@ mod tests {
             // All siblings in one, or each as if the user had given it.
             let starts = if seed % 3 == 0 { all.clone() } else { vec![(0, 0)] };
             let limits = PlanLimits { task_links, memory_bytes: 1 << 30 };
-            let plan = Plan::new(&scene, &starts, &limits).unwrap();
+            let n_pairs = starts.iter().map(|&pair| n_leaf_pairs(tree, pair)).sum();
+            let target = target_of(n_pairs, &limits);
+            let plan = Plan::new(&scene, &starts, target, limits.memory_bytes).unwrap();
             let mut decider = Decider::new(scene);
             let [mut found, mut right] = [Vec::new(), Vec::new()];
             let decided = plan.tasks.iter().map(|&(a, b)| decider.decide(a, b, &mut found));

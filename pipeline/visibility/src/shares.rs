@@ -9,7 +9,6 @@ use pvmap_vmap::{Node, Surfel, Tree};
 
 use crate::bounds::Bounds;
 use crate::candidates::Family;
-use crate::interaction;
 use crate::sheets::Sheets;
 use crate::tasks::PlanLimits;
 
@@ -38,18 +37,19 @@ const BUFFER_COST_BYTES: u64 = size_of::<Pair>() as u64;
 const MAX_BUFFER_LINKS: u64 = 1 << 23;
 
 impl Shares {
-    /// Shares memory out for a tree and the pairs that were given for it. Tables that would take
+    /// Shares memory out for trees and `lists_bytes` of pairs to start from. Tables that would take
     /// more than half of the memory, with what is always there, lie in files.
     ///
     /// # Errors
     /// Where the memory does not even hold what is always there.
     pub(crate) fn new(
-        tree: &Tree,
-        given: Option<&[Pair]>,
+        trees: &[&Tree],
+        lists_bytes: u64,
         memory_bytes: u64,
     ) -> Result<Shares, StoreError> {
         let n_threads = rayon::current_num_threads() as u64;
-        let (fixed_bytes, tables_bytes) = (fixed_bytes(tree, given), tables_bytes(tree));
+        let fixed_bytes = lists_bytes + trees.iter().map(|tree| fixed_bytes(tree)).sum::<u64>();
+        let tables_bytes = trees.iter().map(|tree| tables_bytes(tree)).sum::<u64>();
         let are_mapped = fixed_bytes + tables_bytes > memory_bytes / 2;
         let mapped_bytes = if are_mapped { tables_bytes } else { 0 };
         let held_bytes = fixed_bytes + tables_bytes - mapped_bytes;
@@ -75,14 +75,13 @@ impl Shares {
     }
 }
 
-/// What a build holds besides its tables, sheets, links and their plan.
-fn fixed_bytes(tree: &Tree, given: Option<&[Pair]>) -> u64 {
+/// What a build holds of a tree besides its tables, sheets, links and their plan.
+fn fixed_bytes(tree: &Tree) -> u64 {
     let n_inner = tree.nodes.len().saturating_sub(tree.surfels.len());
-    let starts = given.map_or(0, |given| given.len() * interaction::GIVEN_BYTES);
     let of_surfels = tree.surfels.len() * size_of::<Surfel>();
     let of_nodes = tree.nodes.len() * size_of::<Node>() + n_inner * Sheets::A_FAMILY_BYTES;
     let of_rects = tree.rects.len() * size_of::<Rect>();
-    (of_nodes + of_surfels + of_rects + starts) as u64
+    (of_nodes + of_surfels + of_rects) as u64
 }
 
 /// What the tables of a build take.

@@ -11,6 +11,7 @@ use pvmap_store::runs::Pair;
 use pvmap_vmap::Tree;
 
 use crate::bounds::Facing;
+use crate::layers::Layer;
 use crate::pairs::{Scene, Status};
 
 /// A task has at most one part in so many of all leaf pairs, so that the last task of the slowest
@@ -65,57 +66,30 @@ pub struct Plan {
     planned: Vec<Planned>,
     /// The node pairs to decide, in the order of the plan.
     pub tasks: Vec<Pair>,
-    /// Leaf pairs that a task has at most.
-    pub target: u64,
 }
 
 impl Plan {
-    /// Cuts the recursion from `starts` into tasks: the highest pairs that are small enough.
+    /// Cuts the recursion from `starts` into tasks: the highest pairs that are small enough, of at
+    /// most `target` leaf pairs.
     ///
     /// # Errors
     /// Where the plan needs more memory than it may take.
     pub fn new(
         scene: &Scene<'_>,
         starts: &[Pair],
-        limits: &PlanLimits,
-    ) -> Result<Plan, StoreError> {
-        let total: u64 = starts.iter().map(|&pair| n_leaf_pairs(scene.tree, pair)).sum();
-        let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
-        let target = (total / TASKS).max(MIN_TASK_PAIRS).min(most);
-        Plan::with_target(scene, starts, target, limits)
-    }
-
-    /// Does the same where it is known which pairs are small enough: those of at most `target` leaf
-    /// pairs.
-    ///
-    /// # Errors
-    /// Where the plan needs more memory than it may take.
-    pub fn with_target(
-        scene: &Scene<'_>,
-        starts: &[Pair],
         target: u64,
-        limits: &PlanLimits,
+        memory_bytes: u64,
     ) -> Result<Plan, StoreError> {
         // Counted first, so that the plan has no spare room and is never there twice.
         let n_planned: usize = starts.iter().map(|&pair| count(scene, pair, target)).sum();
         let need_bytes = (n_planned * PLANNED_BYTES) as u64;
         // Places in a plan are u32.
-        let have_bytes = limits.memory_bytes.min(u64::from(u32::MAX) * PLANNED_BYTES as u64);
+        let have_bytes = memory_bytes.min(u64::from(u32::MAX) * PLANNED_BYTES as u64);
         require("the plan of a build", need_bytes, have_bytes)?;
         let (planned, tasks) = (Vec::with_capacity(n_planned), Vec::with_capacity(n_planned));
-        let mut plan = Plan { planned, tasks, target };
+        let mut plan = Plan { planned, tasks };
         starts.iter().for_each(|&pair| plan.cut(scene, pair, target));
         Ok(plan)
-    }
-
-    /// Gives a digest of the tasks, by which a resumed build knows that they are the same.
-    pub fn digest(&self) -> u64 {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        for &(a, b) in &self.tasks {
-            hasher.update(&a.to_le_bytes());
-            hasher.update(&b.to_le_bytes());
-        }
-        hasher.digest()
     }
 
     /// Plans a pair; recurses at most 24 deep.
@@ -183,6 +157,84 @@ impl Plan {
         } else {
             Status::Partial
         }
+    }
+}
+
+/// Gives how many leaf pairs a task has at most where there are so many.
+pub fn target_of(n_leaf_pairs: u64, limits: &PlanLimits) -> u64 {
+    let most = MAX_TASK_PAIRS.min(limits.task_links).max(1);
+    (n_leaf_pairs / TASKS).max(MIN_TASK_PAIRS).min(most)
+}
+
+/// The plans of a build, one for each of its layers ([`crate::layers`]), and their tasks, numbered
+/// through.
+#[derive(Debug)]
+pub struct Plans {
+    plans: Vec<Plan>,
+    /// One past the last task of each plan.
+    ends: Vec<u32>,
+}
+
+impl Plans {
+    /// Plans the pairs of each layer, see [`Plan::new`].
+    ///
+    /// # Errors
+    /// Where the plans need more memory than they may take.
+    pub fn new(
+        scenes: &[Scene<'_>],
+        layers: &[Layer<'_>],
+        target: u64,
+        limits: &PlanLimits,
+    ) -> Result<Plans, StoreError> {
+        let mut plans = Plans { plans: Vec::new(), ends: Vec::new() };
+        let mut left_bytes = limits.memory_bytes;
+        for (scene, layer) in scenes.iter().zip(layers) {
+            let plan = Plan::new(scene, &layer.starts, target, left_bytes)?;
+            left_bytes = left_bytes.saturating_sub((plan.planned.len() * PLANNED_BYTES) as u64);
+            plans.ends.push((plans.n_tasks() + plan.tasks.len()) as u32);
+            plans.plans.push(plan);
+        }
+        Ok(plans)
+    }
+
+    /// Counts the tasks.
+    pub fn n_tasks(&self) -> usize {
+        self.ends.last().map_or(0, |&end| end as usize)
+    }
+
+    /// Gives a task: its layer, and the pair to decide there.
+    pub fn task(&self, task: u32) -> (usize, Pair) {
+        let layer = self.ends.partition_point(|&end| end <= task);
+        let first = layer.checked_sub(1).map_or(0, |before| self.ends[before]);
+        (layer, self.plans[layer].tasks[(task - first) as usize])
+    }
+
+    /// Gives a digest of the tasks, by which a resumed build knows that they are the same.
+    pub fn digest(&self) -> u64 {
+        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+        for &(a, b) in self.plans.iter().flat_map(|plan| &plan.tasks) {
+            hasher.update(&a.to_le_bytes());
+            hasher.update(&b.to_le_bytes());
+        }
+        hasher.digest()
+    }
+
+    /// Puts the statuses of the tasks together and lists the links above and of the tasks, in no
+    /// order, as pairs of the whole tree.
+    ///
+    /// # Panics
+    /// Where a task has no status.
+    pub fn combine(
+        &self,
+        layers: &[Layer<'_>],
+        statuses: &[Option<Status>],
+    ) -> impl Iterator<Item = Pair> {
+        let mut rest = statuses;
+        self.plans.iter().zip(layers).flat_map(move |(plan, layer)| {
+            let of_plan;
+            (of_plan, rest) = rest.split_at(plan.tasks.len());
+            plan.combine(of_plan).map(|pair| layer.whole(pair))
+        })
     }
 }
 

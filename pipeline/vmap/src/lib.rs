@@ -3,7 +3,7 @@
 //! `FORMAT.md` beside this crate says what every byte means; the code follows it sentence by
 //! sentence. [`container`] is the file around the sections, [`records`] the fixed rows, [`schema`]
 //! the columns of point records, [`tree`] the nodes and surfels with the routing of points to
-//! leaves, [`links`] the codec of the link blocks, [`map`] and [`octree`] the views a reader gets
+//! leaves, [`config`] the keys of a build, [`links`] the codec of the link blocks, [`map`] and [`octree`] the views a reader gets
 //! of a whole file. The room opens no file and trusts no byte: a view checks each block when it is
 //! first touched, and no input makes it panic, answer wrongly or allocate what the file does not
 //! hold.
@@ -11,6 +11,7 @@
 //! Start reading at `FORMAT.md`, then [`map::MapView`].
 
 pub mod bytes;
+pub mod config;
 pub mod container;
 pub mod error;
 pub mod frame;
@@ -22,6 +23,7 @@ pub mod router;
 pub mod schema;
 pub mod tree;
 
+pub use config::MapConfig;
 pub use container::{Container, Kind};
 pub use error::FormatError;
 pub use map::MapView;

@@ -4,6 +4,7 @@ use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Box3, Rect, morton};
 
 use crate::bytes::FieldReader;
+use crate::config::{MapConfig, profile_of};
 use crate::container::{Closing, Container, Kind, RECTS, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
@@ -239,7 +240,7 @@ impl<'a> MapView<'a> {
 
     fn verify_config(&self) -> Result<(), FormatError> {
         let text = self.config()?;
-        if canonical_config(text).as_deref() != Some(text) {
+        if MapConfig::of_text(text).is_none() {
             let section = self.file.section("config", 0)?;
             return Err(section.broken(0, "not the keys of a map in their canonical form"));
         }
@@ -470,93 +471,6 @@ pub fn close_map(sections: &[Written]) -> Closing {
     let are_in_order = sections.iter().map(|s| s.name).eq(names.take(sections.len()));
     debug_assert!(are_in_order && sections.len() >= SECTIONS.len(), "sections in file order");
     close(Kind::Map, sections)
-}
-
-/// Gives the canonical configuration text. [F-14]
-pub fn config_text(
-    max_level: u8,
-    leaf_capacity: u64,
-    max_spread: u16,
-    shape: crate::Shape,
-    profile: Profile,
-    spacing: crate::Spacing,
-    pairs: Option<(u32, u128)>,
-) -> String {
-    use crate::{Shape, Spacing};
-    let tree = match shape {
-        Shape::Binned => "binned",
-        Shape::Paper => "paper",
-    };
-    let profile = match profile {
-        Profile::Patch => "patch",
-        Profile::Oriented => "oriented",
-        Profile::Paper => "paper",
-    };
-    let mut text = format!(
-        "max_level = {max_level}\nleaf_capacity = {leaf_capacity}\n\
-         tree = \"{tree}\"\nprofile = \"{profile}\"\n"
-    );
-    if max_spread > 0 {
-        text.push_str(&format!("max_spread = {max_spread}\n"));
-    }
-    match spacing {
-        Spacing::Leaf => {}
-        Spacing::Neighbors => text.push_str("spacing = \"neighbors\"\n"),
-    }
-    if let Some((n, digest)) = pairs {
-        text.push_str(&format!("interaction_pairs = \"{n}:{digest:032x}\"\n"));
-    }
-    text
-}
-
-/// Writes a configuration text anew from what its keys say; `None` where they cannot be those of a
-/// map. [F-14]
-fn canonical_config(text: &str) -> Option<String> {
-    let mut lines = text.lines();
-    let max_level = lines.next()?.strip_prefix("max_level = ")?.parse().ok()?;
-    let leaf_capacity = lines.next()?.strip_prefix("leaf_capacity = ")?.parse().ok()?;
-    let shape = match lines.next()? {
-        "tree = \"binned\"" => crate::Shape::Binned,
-        "tree = \"paper\"" => crate::Shape::Paper,
-        _ => return None,
-    };
-    let profile = profile_of(lines.next()?)?;
-    let mut next = lines.next();
-    let max_spread = match next.and_then(|line| line.strip_prefix("max_spread = ")) {
-        Some(value) => {
-            next = lines.next();
-            value.parse().ok()?
-        }
-        None => 0,
-    };
-    let spacing = match next {
-        Some("spacing = \"neighbors\"") => {
-            next = lines.next();
-            crate::Spacing::Neighbors
-        }
-        _ => crate::Spacing::Leaf,
-    };
-    let pairs = match next {
-        Some(line) => {
-            let value = line.strip_prefix("interaction_pairs = \"")?.strip_suffix('"')?;
-            let (n, digest) = value.split_once(':')?;
-            Some((n.parse().ok()?, u128::from_str_radix(digest, 16).ok()?))
-        }
-        None => None,
-    };
-    let is_level = (1..=morton::MAX_LEVEL).contains(&max_level);
-    is_level
-        .then(|| config_text(max_level, leaf_capacity, max_spread, shape, profile, spacing, pairs))
-}
-
-/// Reads the profile out of a canonical configuration text.
-fn profile_of(config: &str) -> Option<Profile> {
-    config.lines().find_map(|line| match line {
-        "profile = \"patch\"" => Some(Profile::Patch),
-        "profile = \"oriented\"" => Some(Profile::Oriented),
-        "profile = \"paper\"" => Some(Profile::Paper),
-        _ => None,
-    })
 }
 
 impl Split {

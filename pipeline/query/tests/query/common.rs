@@ -9,7 +9,7 @@ use pvmap_geometry::{Box3, Frame, GridPoint, Rect, morton};
 use pvmap_vmap::container::{BLOCK_BYTES, Written, align, head_bytes};
 use pvmap_vmap::frame::{CrsKind, FrameRecord};
 use pvmap_vmap::links::LinkEncoder;
-use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map, config_text};
+use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
 use pvmap_vmap::tree::{fill_overhangs, root_node};
 use pvmap_vmap::{MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
@@ -220,12 +220,21 @@ impl Parts {
             n_visible_pairs: links.iter().map(|&l| n_leaf_pairs(tree, l)).sum(),
             digest: 7,
         };
-        let config =
-            config_text(21, 1, 0, Shape::Binned, profile, Spacing::Leaf, given.then_some((3, 5)));
+        let config = MapConfig {
+            max_level: 21,
+            leaf_capacity: 1,
+            max_spread: 0,
+            shape: Shape::Binned,
+            profile,
+            spacing: Spacing::Leaf,
+            interaction_pairs: given.then_some((3, 5)),
+            opening_angle: 0.0,
+            min_form_factor: 0.0,
+        };
         let frame = FrameRecord { frame, crs_kind: CrsKind::None };
         let contents = [
             (MapSummary::BYTES, summary.to_bytes()),
-            (0, config.into_bytes()),
+            (0, config.to_text().into_bytes()),
             (Node::BYTES, tree.nodes.iter().flat_map(Record::to_bytes).collect()),
             (Surfel::BYTES, tree.surfels.iter().flat_map(Record::to_bytes).collect()),
             (0, frames.iter().flat_map(|(_, bytes)| bytes.clone()).collect()),

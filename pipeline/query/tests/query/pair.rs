@@ -67,7 +67,7 @@ fn v6_every_leaf_pair_has_the_answer_of_its_link() {
         let file = Parts::new(&tree, &links, About { given, ..About::default() }).seal();
         let map = Map::open(&file).unwrap();
         assert_eq!(map.view().verify(), Ok(()));
-        assert_eq!(map.from_given_pairs(), given);
+
         let n = tree.surfels.len() as u32;
         let table = answers(&tree, &links);
         let questions: Vec<(Located, Located)> =
