@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use fastrand::Rng;
 use pvmap_query::exact::Exact;
-use pvmap_query::{ErrorKind, Map, Place, QueryError, Snap};
+use pvmap_query::{ErrorKind, Located, Map, Place, QueryError, Snap};
 use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
 use pvmap_vmap::bytes::FieldReader;
@@ -60,17 +60,22 @@ impl From<bool> for Reply {
 impl<'a> Way<'a> {
     /// Answers by the leaves of a map, however far from a place the nearest one is.
     pub fn leaves(map: &'a Map<'_>) -> Way<'a> {
-        let locate = |place: &Place| match map.locate(place, Snap::default()) {
-            Err(QueryError::NoSurface { .. }) => {
-                Ok((map.locate(place, Snap::Within(f64::INFINITY))?, true))
-            }
-            located => located.map(|located| (located, false)),
-        };
         let answer = move |a: &Place, b: &Place| {
-            let ((a, a_is_far), (b, b_is_far)) = (locate(a)?, locate(b)?);
+            let ((a, a_is_far), (b, b_is_far)) = (locate(map, a)?, locate(map, b)?);
             Ok(Reply { visible: map.pair(&a, &b)?.visible, is_far: a_is_far || b_is_far })
         };
         Way { name: "leaves", answer: Box::new(answer) }
+    }
+
+    /// Answers by the segments between places, among the surfels of a map.
+    pub fn segments(map: &'a Map<'_>) -> Way<'a> {
+        let answer = move |a: &Place, b: &Place| {
+            let ((c, c_is_far), (d, d_is_far)) = (locate(map, a)?, locate(map, b)?);
+            let (a, b) = (map.spot(a.position, c)?, map.spot(b.position, d)?);
+            let visible = map.pair_by_segment(&a, &b)?.visible;
+            Ok(Reply { visible, is_far: c_is_far || d_is_far })
+        };
+        Way { name: "segments", answer: Box::new(answer) }
     }
 
     /// Answers by the points of an octree, those nearest to the places. [V-7]
@@ -89,6 +94,16 @@ impl<'a> Way<'a> {
             Err(Error::Query(e)) if e.kind() == ErrorKind::Place => Ok(None),
             Err(e) => Err(e),
         }
+    }
+}
+
+/// Finds the leaf of a place, and says whether it is farther from it than is allowed by default.
+fn locate(map: &Map<'_>, place: &Place) -> Result<(Located, bool), QueryError> {
+    match map.locate(place, Snap::default()) {
+        Err(QueryError::NoSurface { .. }) => {
+            Ok((map.locate(place, Snap::Within(f64::INFINITY))?, true))
+        }
+        located => located.map(|located| (located, false)),
     }
 }
 

@@ -26,6 +26,9 @@ In truth two places see each other where both triangles turn their front (counte
 the other place and no third triangle crosses the segment between them, whichever its front. A
 triangle that holds an end, to within 1e-12 of the mesh's extent, hides nothing from that end.
 
+The map is asked twice: its leaves, as pvmap query MAP pair asks them, and the segments between
+the places, as with --segment there. With --exact the points of the octree are asked, too.
+
 Output, with 95 % intervals (Wilson); shares of all pairs, then of those that were answered:
   face each other      by the triangles' fronts, whatever is between
   see each other       by the triangles
@@ -37,7 +40,7 @@ Output, with 95 % intervals (Wilson); shares of all pairs, then of those that we
   wrongly invisible    the map says no, the triangles yes
   visible, wrong       of the pairs that the map says see each other those that do not
   refused              pairs without an answer: a place is outside the cube
-  far                  pairs that leaves answered although a place is so far from its surfel that
+  far                  pairs that a map answered although a place is so far from its surfel that
                        pvmap query MAP pair would ask for --snap
 
 Examples:
@@ -56,7 +59,7 @@ pub(super) struct Args {
     /// Draw points of the scan instead of places on the triangles
     #[arg(long, value_name = "NAME.octree")]
     octree: Option<PathBuf>,
-    /// Ask the points of the octree, too: a second column
+    /// Ask the points of the octree, too: a third column
     #[arg(long, requires = "octree")]
     exact: bool,
     #[command(flatten)]
@@ -85,7 +88,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let truth = Scene::of_mesh(&read_mesh(&args.truth, args.memory)?.mesh, args.seed);
     watch.advance(truth.n_surfaces() as u64);
     watch.stage("accuracy", Some(args.pairs), "pairs");
-    let mut ways = vec![Way::leaves(&map)];
+    let mut ways = vec![Way::leaves(&map), Way::segments(&map)];
     if let (Some(points), Some(view)) = (&octree, &view) {
         let refuse = |e| points.named(&path, e);
         check_pair(map.view(), view).map_err(refuse)?;

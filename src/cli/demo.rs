@@ -116,7 +116,8 @@ fn try_out(
         Ok(Drawn { place, sample: Some(sample) })
     };
     let asked = (args.pairs, args.seed);
-    accuracy::compare(scene, asked, &mut draw, &mut [Way::leaves(&map)], &context.progress)
+    let mut ways = [Way::leaves(&map), Way::segments(&map)];
+    accuracy::compare(scene, asked, &mut draw, &mut ways, &context.progress)
 }
 
 fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::Result<()> {
@@ -145,6 +146,8 @@ fn print(args: &Args, columns: &[Column<'_>], stages: &[StageDone]) -> std::io::
     row("wrongly visible", &|c| share(c.sample.tallies[0].n_false_visible, c.sample.n_pairs))?;
     row("wrongly invisible", &|c| share(c.sample.tallies[0].n_false_invisible, c.sample.n_pairs))?;
     row("answers a second", &|c| format!("{:.0}", c.sample.rate(&c.sample.tallies[0])))?;
+    row("segments agree", &|c| share(c.sample.tallies[1].n_agreeing(), c.sample.n_pairs))?;
+    row("answers a second", &|c| format!("{:.0}", c.sample.rate(&c.sample.tallies[1])))?;
     writeln!(out, "\n{:<22}{:>16}{:>16}", "stage (depth8)", "seconds", "peak memory")?;
     for stage in stages {
         writeln!(out, "{:<22}{:>16.2}{:>16}", stage.name, stage.seconds, mib(stage.peak_bytes))?;

@@ -205,6 +205,20 @@ impl Model {
         }
     }
 
+    /// Lists the surfels that block between two places of two different leaves, by the words of
+    /// nothing where they do not face each other.
+    pub fn blockers(
+        &self,
+        profile: Profile,
+        [(a, p), (b, q)]: [(usize, GridPoint); 2],
+    ) -> Option<Vec<usize>> {
+        let mut discs = self.surfels.clone();
+        (discs[a].centroid, discs[b].centroid) = (p.map(i128::from), q.map(i128::from));
+        let others = (0..discs.len()).filter(|&k| k != a && k != b);
+        let blocking = others.filter(|&k| blocks(profile, &discs, (a, b), k));
+        face(&discs[a], &discs[b]).then(|| blocking.collect())
+    }
+
     /// Gives the tree as the rooms know it.
     pub fn tree(&self) -> Tree {
         let (nodes, surfels) = (self.nodes.clone(), self.stored.clone());

@@ -1,4 +1,5 @@
-//! Many pairs at once: the answers of [`Map::pair`], with each link frame decoded about once.
+//! Many pairs at once: the answers of [`Map::pair`] or [`Map::pair_by_segment`], with each link
+//! frame decoded about once.
 //!
 //! The links that can settle a question stand in the lists of the nodes over its earlier leaf, a
 //! handful of frames. So questions are taken in the order of that leaf: the next needs mostly the
@@ -6,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use crate::by_segment::{SegmentAnswer, Spot};
 use crate::error::QueryError;
 use crate::frames::Lookup;
 use crate::locate::Located;
@@ -20,26 +22,45 @@ impl Map<'_> {
     /// Threads are those of the current rayon pool; they hold some 100 bytes a question besides
     /// the answers.
     pub fn pairs(&self, questions: &[(Located, Located)]) -> Vec<Result<PairAnswer, QueryError>> {
+        let nodes = |(a, b): &(Located, Located)| [a.node, b.node];
+        self.by_leaves(questions, nodes, |lookup, (a, b)| self.pair_with(lookup, a, b))
+    }
+
+    /// Decides many pairs of places by their segments; the answers are those of
+    /// [`Map::pair_by_segment`], in order, and threads those of the current rayon pool.
+    pub fn pairs_by_segment(
+        &self,
+        questions: &[(Spot, Spot)],
+    ) -> Vec<Result<SegmentAnswer, QueryError>> {
+        let nodes = |(a, b): &(Spot, Spot)| [a.located().node, b.located().node];
+        self.by_leaves(questions, nodes, |lookup, (a, b)| self.segment_with(lookup, a, b))
+    }
+
+    /// Answers questions in the order of their leaves; gives the answers in that of the questions.
+    fn by_leaves<Q: Sync, A: Send>(
+        &self,
+        questions: &[Q],
+        nodes: impl Fn(&Q) -> [u32; 2] + Sync,
+        answer: impl Fn(&mut Lookup<'_, '_>, &Q) -> A + Sync,
+    ) -> Vec<A> {
         let mut order: Vec<usize> = (0..questions.len()).collect();
         order.par_sort_unstable_by_key(|&i| {
-            let (a, b) = &questions[i];
-            (a.node.min(b.node), a.node.max(b.node))
+            let [a, b] = nodes(&questions[i]);
+            (a.min(b), a.max(b))
         });
-        let answered: Vec<_> = order
+        let answer = &answer;
+        let answered: Vec<(usize, A)> = order
             .par_chunks(PIECE)
             .flat_map_iter(|piece| {
                 let mut lookup = Lookup::new(self);
-                piece.iter().map(move |&i| {
-                    let (a, b) = &questions[i];
-                    (i, self.pair_with(&mut lookup, a, b))
-                })
+                piece.iter().map(move |&i| (i, answer(&mut lookup, &questions[i])))
             })
             .collect();
-        let nothing = PairAnswer { visible: false, link: None };
-        let mut answers = vec![Ok(nothing); questions.len()];
+        let mut answers: Vec<Option<A>> = questions.iter().map(|_| None).collect();
         for (i, answer) in answered {
-            answers[i] = answer;
+            answers[i] = Some(answer);
         }
-        answers
+        // Every place of the order is one question's.
+        answers.into_iter().flatten().collect()
     }
 }

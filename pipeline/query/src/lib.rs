@@ -3,9 +3,10 @@
 //! [`Map`] wraps the bytes of a whole map file. [`Map::locate`] leads a place in world units to
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
-//! map. [`Map::visible_from`] gives all that a place sees as a [`SurfelSet`],
-//! [`Map::visible_from_air`] what a scanner there would see, [`Map::sees_counts`] how much every
-//! surfel sees. [`Map::region`] weighs the points around two places against each
+//! map. [`Map::pair_by_segment`] asks the segment between the places themselves, which is right
+//! more often and takes longer. [`Map::visible_from`] gives all that a place sees as a
+//! [`SurfelSet`], [`Map::visible_from_air`] what a scanner there would see, [`Map::sees_counts`]
+//! how much every surfel sees. [`Map::region`] weighs the points around two places against each
 //! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
 //! place; [`exact::Exact`] asks the points of the octree whether two of them see each other
 //! ([V-7]); [`quality::measure`] says what those points are like. The room opens no file and prints
@@ -18,6 +19,8 @@
 mod adjacency;
 mod batch;
 mod between;
+mod by_segment;
+mod discs;
 mod error;
 pub mod exact;
 mod filter;
@@ -37,6 +40,7 @@ mod set;
 mod shadow;
 mod visible_from;
 
+pub use by_segment::{SegmentAnswer, SettledBy, Spot};
 pub use error::{ErrorKind, QueryError};
 pub use locate::{Located, Place, Snap};
 pub use map::Map;

@@ -8,6 +8,7 @@ use pvmap_vmap::records::Record;
 use pvmap_vmap::tree::{self, Nodes};
 use pvmap_vmap::{FormatError, MapView, Node, Split, Surfel};
 
+use crate::discs::Discs;
 use crate::error::QueryError;
 use crate::frames::LinkFrames;
 use crate::kept::Kept;
@@ -27,6 +28,7 @@ pub struct Map<'a> {
     is_slanted: bool,
     pub(crate) frames: LinkFrames,
     pub(crate) kept: OnceLock<Kept>,
+    pub(crate) discs: OnceLock<Discs>,
 }
 
 impl<'a> Map<'a> {
@@ -40,8 +42,8 @@ impl<'a> Map<'a> {
         let profile = view.profile()?;
         let slanting = ["interaction_pairs = ", "opening_angle = "];
         let is_slanted = config.lines().any(|line| slanting.iter().any(|s| line.starts_with(s)));
-        let (frames, kept) = (LinkFrames::default(), OnceLock::new());
-        Ok(Map { view, profile, is_slanted, frames, kept })
+        let (frames, kept, discs) = (LinkFrames::default(), OnceLock::new(), OnceLock::new());
+        Ok(Map { view, profile, is_slanted, frames, kept, discs })
     }
 
     /// Does what [`Map::open`] does, for a map that keeps decoded links in so many bytes at the

@@ -164,30 +164,32 @@ impl Map<'_> {
         }
     }
 
-    /// Finds out whether a surfel stands between a surfel and a place in the air; if so, which.
+    /// Finds the first surfel that blocks between two discs, apart from two of them.
     pub(crate) fn blocker(
         &self,
-        from: u32,
+        spared: [u32; 2],
         a: &Disc,
-        air: [i32; 3],
+        b: &Disc,
         n_nodes: &mut u64,
     ) -> Result<Option<u32>, FormatError> {
-        let b = in_the_air(air);
         let mut open: Vec<(u32, Node)> = self.root()?.map(|root| (0, root)).into_iter().collect();
         while let Some((id, node)) = open.pop() {
-            if !segment_meets(a.centroid, air, &self.blocking_box(&node)) {
+            if !segment_meets(a.centroid, b.centroid, &self.blocking_box(&node)) {
                 continue;
             }
             *n_nodes += 1;
-            if node.is_leaf() && node.first_surfel != from {
+            if node.is_leaf() && !spared.contains(&node.first_surfel) {
                 let k = self.disc_of(node.first_surfel, &self.surfel_of(id, &node)?)?;
-                if disc::blocks(self.profile(), a, &b, &k) {
+                if disc::blocks(self.profile(), a, b, &k) {
                     return Ok(Some(node.first_surfel));
                 }
             }
+            let from = open.len();
             for child in self.children(id, node) {
                 open.push(child?);
             }
+            // The first child is looked at first, so that ids rise.
+            open[from..].reverse();
         }
         Ok(None)
     }

@@ -123,9 +123,10 @@ impl Map<'_> {
         let air = near_grid(steps, surfel.centroid);
         let disc = self.disc_of(place.surfel, &surfel)?;
         let mut n_nodes = 0;
-        let faces = faces_both(&disc, &in_the_air(air));
+        let lamp = in_the_air(air);
+        let faces = faces_both(&disc, &lamp);
         let blocker = match faces {
-            true => self.blocker(place.surfel, &disc, air, &mut n_nodes)?,
+            true => self.blocker([place.surfel; 2], &disc, &lamp, &mut n_nodes)?,
             false => None,
         };
         let reaches = if faces && blocker.is_none() { Sight::All } else { Sight::None };

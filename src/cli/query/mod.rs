@@ -7,6 +7,7 @@ mod pairs;
 mod ray;
 mod region;
 mod sees_count;
+mod segment;
 mod shadow;
 mod visible_from;
 

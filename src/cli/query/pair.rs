@@ -8,7 +8,7 @@ use pvmap::query::exact::{Exact, Verdict};
 use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
-use super::{Asked, Outcome, commas, parse_distance, parse_point, place};
+use super::{Asked, Outcome, commas, parse_distance, parse_point, place, segment};
 use crate::cli::exact::PointsArgs;
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
@@ -27,6 +27,14 @@ Answer:
   crowd     which surfels those are, the first and the last id of each node
   cells     where each node's cell is, lowest and highest corner, in the scan's units
 
+With --segment the answer is that of the segment between the places themselves: no if a surfel
+blocks it or one of the places looks away. The map's own answer, about the surfels' centres, is told
+beside it. Take it where single answers count: at silhouettes and in half shadow it is right more
+often, it needs no octree, and it takes some microseconds more. Where a link of eight surfels or
+more on both sides holds for the places, that settles it.
+  leaves    whether the surfels say the same
+  segment   what settles it: the link, or a surfel that blocks
+
 With --exact the answer is that of the scan's points nearest to the two places: no if so many
 others have tangent planes that cross the line between them so near to themselves, away from both
 ends. What the surfels say is told beside it.
@@ -36,6 +44,7 @@ ends. What the surfels say is told beside it.
 Examples:
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --segment
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --exact --delta 0.02 --k 2")]
 pub(super) struct Args {
     /// One place, in the scan's units
@@ -55,6 +64,10 @@ pub(super) struct Args {
     #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
     #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
+    /// Ask the segment between the places instead of that between the
+    /// centres of their surfels: right more often, and slower
+    #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
+    segment: bool,
     #[command(flatten)]
     points: PointsArgs,
     /// Answer as one JSON object
@@ -68,7 +81,17 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let b = asked.locate(&places[1], args.snap)?;
     let answer = asked.named(asked.map.pair(&a, &b))?;
     let exact = if args.points.exact { Some(ask_points(asked, args, &places)?) } else { None };
-    let visible = exact.as_ref().map_or(answer.visible, |verdict| verdict.visible);
+    let segment = match args.segment {
+        true => {
+            let spot = |place: &Place, at| asked.named(asked.map.spot(place.position, at));
+            let ends = [spot(&places[0], a)?, spot(&places[1], b)?];
+            Some(asked.named(asked.map.pair_by_segment(&ends[0], &ends[1]))?)
+        }
+        false => None,
+    };
+    let of_segment = segment.as_ref().map(|answer| answer.visible);
+    let of_points = exact.as_ref().map(|verdict| verdict.visible);
+    let visible = of_points.or(of_segment).unwrap_or(answer.visible);
     let cells = match &answer.link {
         Some(link) => Some([
             asked.named(asked.map.cell_of(link.nodes.0))?,
@@ -90,34 +113,51 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
                 "points_read": verdict.work.n_points,
             });
         }
+        if let Some(segment) = &segment {
+            segment::add_to(&mut object, segment);
+        }
         asked.print_json(object)?;
     } else {
         let mut out = io::stdout().lock();
         writeln!(out, "{}", if visible { "yes" } else { "no" })?;
-        if let Some(verdict) = &exact {
+        if exact.is_some() || segment.is_some() {
             let said = if answer.visible { "yes" } else { "no" };
             writeln!(out, "  leaves    say {said}")?;
+        }
+        if let Some(verdict) = &exact {
             writeln!(out, "  occluders {}", verdict.occluders.len())?;
         }
-        writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
-        writeln!(out, "  distances {} and {}", a.distance, b.distance)?;
-        match &answer.link {
-            Some(link) => {
-                let ((na, nb), (pa, pb)) = (link.nodes, link.n_points);
-                writeln!(out, "  link      nodes {na} and {nb}")?;
-                writeln!(out, "  settles   {pa} points on one side, {pb} on the other")?;
-                let ((a, b), (c, d)) = link.surfels;
-                writeln!(out, "  crowd     surfels {a} to {} and {c} to {}", b - 1, d - 1)?;
-            }
-            None if answer.visible => writeln!(out, "  link      none: both lie on one surfel")?,
-            None => {}
+        if let Some(segment) = &segment {
+            writeln!(out, "  segment   {}", segment::words(segment.settled_by))?;
         }
+        write_leaves(&mut out, [&a, &b], &answer)?;
         for (i, [low, high]) in cells.into_iter().flatten().enumerate() {
             let title = ["cells", ""][i];
             writeln!(out, "  {title:9} {} to {}", commas(low), commas(high))?;
         }
     }
     Ok(ExitCode::from(u8::from(!visible)))
+}
+
+/// Writes the surfels of the places and the link between them.
+fn write_leaves(
+    out: &mut impl Write,
+    [a, b]: [&Located; 2],
+    answer: &PairAnswer,
+) -> io::Result<()> {
+    writeln!(out, "  surfels   {} and {}", a.surfel, b.surfel)?;
+    writeln!(out, "  distances {} and {}", a.distance, b.distance)?;
+    match &answer.link {
+        Some(link) => {
+            let ((na, nb), (pa, pb)) = (link.nodes, link.n_points);
+            writeln!(out, "  link      nodes {na} and {nb}")?;
+            writeln!(out, "  settles   {pa} points on one side, {pb} on the other")?;
+            let ((a, b), (c, d)) = link.surfels;
+            writeln!(out, "  crowd     surfels {a} to {} and {c} to {}", b - 1, d - 1)
+        }
+        None if answer.visible => writeln!(out, "  link      none: both lie on one surfel"),
+        None => Ok(()),
+    }
 }
 
 /// Asks the points of the octree. [V-7]

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
+use super::segment::SegmentPairs;
 use super::{Asked, Outcome, pair, parse_distance, place, snap_of};
 use crate::cli::exact::{Points, PointsArgs};
 
@@ -26,18 +27,20 @@ Output columns:
   visible                       0 or 1, empty where there is no answer
   surfel1 surfel2               which surfels the places lie on
   distance1 distance2           how far from them, in the scan's units
-  leaves                        with --exact, where visible is what the points nearest to the
-                                places say: the same by the surfels
+  leaves                        with --segment or --exact, where visible is what the segment or
+                                the points nearest to the places say: the same by the surfels
+  blocker                       with --segment: a surfel that blocks the segment, if one does
   error                         why there is no answer
 
-With --exact it says at the end, on stderr, how often surfels and points disagree; pvmap query
-MAP pair --help tells what the points are asked.
+With --exact it says at the end, on stderr, how often surfels and points disagree. pvmap query
+MAP pair --help tells what --segment and --exact ask, and what they are for.
 
 It ends with 0 once every row is answered, and with 65 at a row that is no text or longer than
 64 KiB.
 
 Examples:
   pvmap query grotto.vmap pairs rows.csv > answers.csv
+  pvmap query grotto.vmap pairs rows.csv --segment > answers.csv
   pvmap query grotto.vmap pairs rows.csv --exact --delta 0.02 --k 2 > answers.csv
   printf 'x1,y1,z1,x2,y2,z2\\n1,2,3,-4,5,6\\n' | pvmap query grotto.vmap pairs -")]
 pub(super) struct Args {
@@ -49,6 +52,10 @@ pub(super) struct Args {
     #[arg(long, value_parser = parse_distance, allow_hyphen_values = true, value_name = "DIST")]
     #[arg(verbatim_doc_comment)]
     snap: Option<f64>,
+    /// Ask the segment between the places instead of that between the
+    /// centres of their surfels: right more often, and slower
+    #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
+    segment: bool,
     #[command(flatten)]
     points: PointsArgs,
     /// Most memory that the map may be kept in: a long table is then
@@ -86,6 +93,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         n_rows: AtomicUsize::new(0),
         is_kept: OnceLock::new(),
     };
+    if args.segment {
+        return batch::answer(rows, &SegmentPairs(pairs), args.json, asked.progress);
+    }
     if !args.points.exact {
         return batch::answer(rows, &pairs, args.json, asked.progress);
     }
@@ -137,8 +147,8 @@ impl PlaceColumns {
     }
 }
 
-struct Pairs<'q, 'm, 'a> {
-    asked: &'q Asked<'m, 'a>,
+pub(super) struct Pairs<'q, 'm, 'a> {
+    pub(super) asked: &'q Asked<'m, 'a>,
     columns: [PlaceColumns; 2],
     snap: Snap,
     /// Most memory to keep the map in.
@@ -149,45 +159,81 @@ struct Pairs<'q, 'm, 'a> {
     is_kept: OnceLock<bool>,
 }
 
+/// Answers, in the order of their questions.
+type Answers<A> = Vec<Result<A, QueryError>>;
+
+/// How rows are asked.
+pub(super) struct Ask<'f, Q, A> {
+    /// Makes the question of a row.
+    pub(super) find: &'f (dyn Fn(Row<'_>) -> Result<Q, RowError> + Sync),
+    /// Keeps in so many bytes what the answers need; says whether all of it is kept.
+    pub(super) keep: &'f dyn Fn(u64) -> Result<bool, QueryError>,
+    /// Answers one question.
+    pub(super) one: &'f (dyn Fn(&Q) -> Result<A, QueryError> + Sync),
+    /// Answers many, in order.
+    pub(super) many: &'f dyn Fn(&[Q]) -> Answers<A>,
+}
+
+impl Pairs<'_, '_, '_> {
+    /// Reads both places of a row and finds their leaves.
+    pub(super) fn locate(&self, row: Row<'_>) -> Result<[(Place, Located); 2], RowError> {
+        let places = [self.columns[0].read(row)?, self.columns[1].read(row)?];
+        let located = |place: Place| -> Result<(Place, Located), RowError> {
+            let located = self.asked.map.locate(&place, self.snap);
+            Ok((place, self.asked.of_row(located)?))
+        };
+        Ok([located(places[0])?, located(places[1])?])
+    }
+
+    /// Answers rows: each by itself where the map is kept, else all in the order that reads least.
+    pub(super) fn ask<Q: Copy + Send, A: Send>(
+        &self,
+        rows: &RowBlock,
+        ask: &Ask<'_, Q, A>,
+    ) -> Vec<Result<(Q, A), RowError>> {
+        // A damaged map is the error of the rows that meet the damage.
+        let keep = || (ask.keep)(self.memory_bytes).unwrap_or(false);
+        let n_rows = self.n_rows.fetch_add(rows.len(), Ordering::Relaxed) + rows.len();
+        if n_rows >= KEEP_ROWS && *self.is_kept.get_or_init(keep) {
+            return batch::each(rows, |row| {
+                let question = (ask.find)(row)?;
+                Ok((question, self.asked.of_row((ask.one)(&question))?))
+            });
+        }
+        let found = batch::each(rows, ask.find);
+        let questions: Vec<Q> = found.iter().filter_map(|row| row.as_ref().ok().copied()).collect();
+        let mut answers = (ask.many)(&questions).into_iter();
+        let answered = |row: Result<Q, RowError>| {
+            let question = row?;
+            let answer = answers.next().expect("one for each question");
+            Ok((question, self.asked.of_row(answer)?))
+        };
+        found.into_iter().map(answered).collect()
+    }
+}
+
 impl Batch for Pairs<'_, '_, '_> {
-    type Answer = (Located, Located, PairAnswer);
+    type Answer = ((Located, Located), PairAnswer);
 
     const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,error";
 
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>> {
         let map = self.asked.map;
-        let locate = |row: Row<'_>| -> Result<(Located, Located), RowError> {
-            let (a, b) = (self.columns[0].read(row)?, self.columns[1].read(row)?);
-            let located = |place| self.asked.of_row(map.locate(place, self.snap));
-            Ok((located(&a)?, located(&b)?))
+        let ask = Ask {
+            find: &|row| self.locate(row).map(|[(_, a), (_, b)]| (a, b)),
+            keep: &|memory_bytes| map.keep(memory_bytes),
+            one: &|(a, b)| map.pair(a, b),
+            many: &|questions| map.pairs(questions),
         };
-        // A damaged map is the error of the rows that meet the damage.
-        let keep = || map.keep(self.memory_bytes).unwrap_or(false);
-        let n_rows = self.n_rows.fetch_add(rows.len(), Ordering::Relaxed) + rows.len();
-        if n_rows >= KEEP_ROWS && *self.is_kept.get_or_init(keep) {
-            return batch::each(rows, |row| {
-                let (a, b) = locate(row)?;
-                Ok((a, b, self.asked.of_row(map.pair(&a, &b))?))
-            });
-        }
-        let located = batch::each(rows, locate);
-        let questions: Vec<(Located, Located)> =
-            located.iter().filter_map(|row| row.as_ref().ok().copied()).collect();
-        let mut answers = map.pairs(&questions).into_iter();
-        let answered = |row: Result<(Located, Located), RowError>| {
-            let (a, b) = row?;
-            let answer = answers.next().expect("one for each located row");
-            Ok((a, b, self.asked.of_row(answer)?))
-        };
-        located.into_iter().map(answered).collect()
+        self.ask(rows, &ask)
     }
 
-    fn write(&self, (a, b, answer): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
+    fn write(&self, ((a, b), answer): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
         let visible = u8::from(answer.visible);
         write!(out, "{visible},{},{},{},{},", a.surfel, b.surfel, a.distance, b.distance)
     }
 
-    fn object(&self, (a, b, answer): &Self::Answer) -> Value {
+    fn object(&self, ((a, b), answer): &Self::Answer) -> Value {
         pair::as_json(a, b, answer)
     }
 }
@@ -214,7 +260,7 @@ impl ExactPairs<'_, '_, '_, '_, '_> {
 }
 
 impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
-    type Answer = ((Located, Located, PairAnswer), bool);
+    type Answer = (((Located, Located), PairAnswer), bool);
 
     const HEADER: &'static str = "visible,surfel1,surfel2,distance1,distance2,leaves,error";
 
@@ -226,17 +272,17 @@ impl Batch for ExactPairs<'_, '_, '_, '_, '_> {
             .map(|(i, answer)| Ok((answer?, self.ask_points(rows.row(i))?)))
             .collect();
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-        for ((_, _, answer), exact) in both.iter().flatten() {
+        for ((_, answer), exact) in both.iter().flatten() {
             found.count(answer.visible, *exact);
         }
         both
     }
 
     fn write(&self, (answer, exact): &Self::Answer, out: &mut Vec<u8>) -> std::io::Result<()> {
-        let by_leaves = answer.2.visible;
-        let answer = (answer.0, answer.1, PairAnswer { visible: *exact, ..answer.2 });
+        let (ends, by_leaves) = *answer;
+        let answer = (ends, PairAnswer { visible: *exact, ..by_leaves });
         self.pairs.write(&answer, out)?;
-        write!(out, "{},", u8::from(by_leaves))
+        write!(out, "{},", u8::from(by_leaves.visible))
     }
 
     fn object(&self, (answer, exact): &Self::Answer) -> Value {
