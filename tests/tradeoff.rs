@@ -81,6 +81,38 @@ fn counts_are_those_of_pvmap_accuracy() {
 }
 
 #[test]
+fn segments_have_rows_of_their_own() {
+    let bench = packed();
+    let line = "tradeoff p.octree --truth p.mesh.ply --pairs 9k --seed 3 --leaf-capacity 50,400";
+    let plain = json(&bench.line(&format!("{line} --json")).ok());
+    let run = bench.line(&format!("{line} --segment --json --svg p.svg --csv p.csv")).ok();
+    let found = json(&run);
+    let rows = found["settings"].as_array().unwrap();
+    let names: Vec<_> = rows.iter().map(|r| r["setting"].as_str().unwrap()).collect();
+    assert_eq!(names, ["depth8", "depth8, segments", "capacity 400", "capacity 400, segments"]);
+    for (pair, alone) in rows.chunks(2).zip(plain["settings"].as_array().unwrap()) {
+        assert_eq!((&pair[0]["mode"], &pair[1]["mode"]), (&"exact".into(), &"segments".into()));
+        for key in ["leaves", "links", "map_bytes", "build_seconds", "peak_rss_anon_bytes"] {
+            assert_eq!(pair[0][key], pair[1][key], "{key}");
+        }
+        assert_eq!(pair[0]["error"], alone["error"], "leaves answer as without --segment");
+        assert_eq!(pair[0]["error"]["of"], pair[1]["error"]["of"]);
+        let capacity = &pair[1]["leaf_capacity"];
+        bench.line(&format!("build p.octree --leaf-capacity {capacity}")).ok();
+        let asked = "accuracy p.vmap --truth p.mesh.ply --octree p.octree --pairs 9k --seed 3";
+        let way = &json(&bench.line(&format!("{asked} --json")).ok())["ways"][1];
+        assert_eq!(way["name"], "segments");
+        assert_eq!(pair[1]["wrongly_invisible"]["n"], way["wrongly_invisible"]["n"]);
+        let n = |value: &Value| value.as_u64().unwrap();
+        let agree = &way["agree_facing"];
+        assert_eq!(n(&pair[1]["error"]["n"]), n(&agree["of"]) - n(&agree["n"]));
+    }
+    let [svg, csv] = ["p.svg", "p.csv"].map(|name| String::from_utf8(bench.read(name)).unwrap());
+    assert!(svg.contains("capacity 400, segments") && svg.contains("profile, segments<"), "{svg}");
+    assert!(csv.contains("\n\"depth8, segments\",segments,binned,"), "{csv}");
+}
+
+#[test]
 fn the_same_seed_asks_the_same_pairs() {
     let bench = Bench::new();
     let line = "tradeoff furnished --points 5k --pairs 3k --leaf-capacity 50,400 --json --seed";

@@ -138,6 +138,19 @@ impl Sample {
     /// # Errors
     /// Where the map is damaged or the run is asked to stop.
     pub fn ask(&self, map: &Map<'_>, clock: Clock, watch: &dyn Watch) -> Result<Tally, Error> {
+        self.ask_by(Way::leaves(map), clock, watch)
+    }
+
+    /// Asks a way about all pairs, as [`Sample::ask`] asks the leaves of a map.
+    ///
+    /// # Errors
+    /// Where the map is damaged or the run is asked to stop.
+    pub fn ask_by(
+        &self,
+        mut way: Way<'_>,
+        clock: Clock,
+        watch: &dyn Watch,
+    ) -> Result<Tally, Error> {
         let begin = Instant::now();
         let seconds = || match clock {
             Clock::Wall => begin.elapsed().as_secs_f64(),
@@ -147,7 +160,6 @@ impl Sample {
             }
         };
         watch.stage("query", Some(self.n_facing()), "pairs");
-        let mut way = Way::leaves(map);
         let mut tally = Tally { name: way.name, ..Tally::default() };
         for pairs in self.pairs.chunks(CHUNK_PAIRS as usize) {
             watch.check()?;

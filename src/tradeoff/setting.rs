@@ -15,17 +15,30 @@ pub struct Setting {
     pub raw: RawConfig,
     /// What decides the content of its map.
     pub config: BuildConfig,
+    /// Whether its map is asked by the segments between places.
+    pub by_segment: bool,
 }
 
 impl Setting {
     fn new(name: String, raw: RawConfig) -> Result<Setting, Error> {
         let (config, _) = raw.clone().check()?;
-        Ok(Setting { name, raw, config })
+        Ok(Setting { name, raw, config, by_segment: false })
     }
 
-    /// Gives the word for how its map is made: exact, or the name of an approximation.
+    /// Gives the same setting, its map asked by the segments between places.
+    pub fn segments(&self) -> Setting {
+        let name = format!("{}, segments", self.name);
+        Setting { name, by_segment: true, ..self.clone() }
+    }
+
+    /// Gives the word for how its map is made and asked: exact and by its leaves, or otherwise.
     pub fn mode(&self) -> &'static str {
-        if self.config.interaction.is_some() { "given list" } else { "exact" }
+        match (self.config.interaction.is_some(), self.by_segment) {
+            (false, false) => "exact",
+            (true, false) => "given list",
+            (false, true) => "segments",
+            (true, true) => "given list, segments",
+        }
     }
 
     /// Gives the word for its tree.

@@ -8,7 +8,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use pvmap::accuracy::ScanPoints;
+use pvmap::accuracy::{ScanPoints, Way};
 use pvmap::config::{RawConfig, RawProfile, RawSpacing, RawTree};
 use pvmap::query::Map;
 use pvmap::tradeoff::forecast::{self, CutTree};
@@ -57,6 +57,8 @@ Columns, with 95 % intervals (Wilson):
   wrongly visible      of the pairs that face each other: the map says yes, the truth no
   wrongly invisible    of the same pairs: the map says no, the truth yes
   error, both          the two together
+With --segment each map has a second row, asked as pvmap query MAP pair --segment asks it: the build
+is the same, query and error are its own.
 With --cpu seconds are those of all its threads together (CSV and JSON have both anyway). A star
 marks settings that no other beats in both, seconds and error. --want recommends one of
 them: for an error the quickest whose interval ends below it, for a time the most accurate that
@@ -77,6 +79,7 @@ generated lie in the system's folder for temporary files (TMPDIR) until the end.
 Examples:
   pvmap tradeoff furnished
   pvmap tradeoff cave --points 1M --svg cave.svg --csv cave.csv --want error=1%
+  pvmap tradeoff furnished --config depth8,accurate --segment
   pvmap tradeoff grotto.octree --max-level 6,7,8 --leaf-capacity 25,50,100 --limit 600
   pvmap tradeoff furnished --noise 1mm,3mm,1cm --holes 5%,20% --csv rough.csv --svg rough.svg
   pvmap tradeoff room.ply --truth room.mesh.ply --config depth8,paper,mine.toml --want time=30s")]
@@ -142,6 +145,10 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     spacing: Vec<RawSpacing>,
+    /// Ask each map by the segments between the points, too: rows of their
+    /// own
+    #[arg(long, verbatim_doc_comment)]
+    segment: bool,
     /// Seconds that a build may take
     #[arg(long, default_value_t = 300, value_name = "SECONDS")]
     limit: u64,
@@ -304,14 +311,20 @@ fn measure_all(
         let cut = limits.run(|| CutTree::of(view, setting, args.memory, watch))??;
         let known = cut.and_then(|cut| foreseen(args, rows, setting, &cut, watch));
         let job = Job { args, setting, source, map: &map };
+        let mut by_segment = None;
         let outcome = match known {
             Some(outcome) => outcome,
             None => match child::build_often(&job, watch)? {
                 Ended::Stopped => Outcome::Stopped(args.limit as f64),
                 Ended::Refused(why) => Outcome::Refused(why),
                 Ended::Built(measured) => {
-                    let built = ask(args, &map, sample, measured, watch)?;
-                    watch.note(&told(&setting.name, &built));
+                    let built = ask(args, (setting, &map), sample, &measured, watch)?;
+                    if args.segment {
+                        let setting = setting.segments();
+                        let built = ask(args, (&setting, &map), sample, &measured, watch)?;
+                        by_segment =
+                            Some(Row { setting, cut: None, outcome: Outcome::Built(built) });
+                    }
                     Outcome::Built(built)
                 }
             },
@@ -319,6 +332,7 @@ fn measure_all(
         // Gone at the end in any case.
         let _ = std::fs::remove_file(&map);
         rows.push(Row { setting: setting.clone(), cut, outcome });
+        rows.extend(by_segment);
     }
     Ok(())
 }
@@ -346,22 +360,23 @@ fn told(name: &str, built: &Built) -> String {
     format!("{name}: {:.2} s, error {:.2} %", built.seconds, 100.0 * built.error().value())
 }
 
-/// Asks a map about the pairs.
+/// Asks the map of a setting about the pairs.
 fn ask(
     args: &Args,
-    path: &Path,
+    (setting, path): (&Setting, &Path),
     sample: &Sample,
-    measured: Measured,
+    measured: &Measured,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
     let bytes = Mapped::open(path)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(path, e))?;
-    let tally = sample.ask(&map, clock_of(args), watch).map_err(|e| match e {
+    let way = if setting.by_segment { Way::segments(&map) } else { Way::leaves(&map) };
+    let tally = sample.ask_by(way, clock_of(args), watch).map_err(|e| match e {
         Error::Query(e) => Error::of_query(path, e),
         e => e,
     })?;
     let summary = map.view().summary();
-    Ok(Built {
+    let built = Built {
         seconds: if args.cpu { measured.cpu_seconds } else { measured.build_seconds },
         cpu_seconds: measured.cpu_seconds,
         build_seconds: measured.build_seconds,
@@ -371,7 +386,9 @@ fn ask(
         n_links: summary.n_links,
         map_bytes: bytes.len() as u64,
         tally,
-    })
+    };
+    watch.note(&told(&setting.name, &built));
+    Ok(built)
 }
 
 /// The files that were asked for, begun before any work.
