@@ -71,7 +71,7 @@ impl<'a> Way<'a> {
     pub fn segments(map: &'a Map<'_>) -> Way<'a> {
         let answer = move |a: &Place, b: &Place| {
             let ((c, c_is_far), (d, d_is_far)) = (locate(map, a)?, locate(map, b)?);
-            let (a, b) = (map.spot(a.position, c)?, map.spot(b.position, d)?);
+            let (a, b) = (map.spot(a, c)?, map.spot(b, d)?);
             let visible = map.pair_by_segment(&a, &b)?.visible;
             Ok(Reply { visible, is_far: c_is_far || d_is_far })
         };

@@ -15,6 +15,7 @@ use fastrand::Rng;
 use pvmap::geometry::GridPoint;
 use pvmap::geometry::disc::Profile;
 use pvmap::geometry::grid::GRID_MAX;
+use pvmap::geometry::normal::{NORMAL_LENGTH, quantise};
 use pvmap::query::{Located, Map, Place, QueryError, SegmentAnswer, SettledBy, Snap, Spot};
 use pvmap::vmap::{MapView, Shape, Spacing};
 use pvmap::{BuildConfig, Limits, NormalsFrom, Orientation};
@@ -24,7 +25,7 @@ use crate::cli_common::{Bench, ply_header};
 use crate::common::{
     LIMITS, build_with, contents, ingest_with, is_slow_run, on_threads, random_cloud, room_cloud,
 };
-use crate::model::Model;
+use crate::model::{Model, Vector};
 
 /// What settled the pairs of a run, and of what surfels: a test of nothing must not pass.
 #[derive(Debug, Default, Clone, Copy)]
@@ -39,6 +40,7 @@ struct Seen {
     paper: u64,
     two_sided: u64,
     no_normal: u64,
+    decided_by_own_normal: u64,
 }
 
 impl AddAssign for Seen {
@@ -53,8 +55,12 @@ impl AddAssign for Seen {
         self.paper += other.paper;
         self.two_sided += other.two_sided;
         self.no_normal += other.no_normal;
+        self.decided_by_own_normal += other.decided_by_own_normal;
     }
 }
+
+/// A leaf, a place and the normal given with it.
+type End = (usize, GridPoint, Option<Vector>);
 
 /// Makes the bytes of a map of a random cloud.
 fn random_map(rng: &mut Rng) -> (Vec<u8>, Profile) {
@@ -99,13 +105,21 @@ fn place_at(rng: &mut Rng, model: &Model, surfel: usize) -> GridPoint {
     })
 }
 
+/// Draws a normal for a place on a surfel: none, any, or one near that of the surfel, either way
+/// up.
+fn normal_at(rng: &mut Rng, model: &Model, surfel: usize) -> Option<[f32; 3]> {
+    let any = [0; 3].map(|_| rng.f32() - 0.5);
+    let near = model.surfels[surfel].normal.map(|v| v as f32 / NORMAL_LENGTH as f32);
+    let way = if rng.u8(..4) == 0 { -1.0 } else { 1.0 };
+    match rng.u8(..3) {
+        0 => None,
+        1 => Some(any),
+        _ => Some([0, 1, 2].map(|i| way * near[i] + any[i])),
+    }
+}
+
 /// Says by the words of what settles a pair of different leaves.
-fn expected(
-    model: &Model,
-    profile: Profile,
-    ends: [(usize, GridPoint); 2],
-    answer: &SegmentAnswer,
-) -> SettledBy {
+fn expected(model: &Model, profile: Profile, ends: [End; 2], answer: &SegmentAnswer) -> SettledBy {
     let is_wide = answer.by_leaves.link.is_some_and(|link| {
         let (a, b) = link.nodes;
         model.leaves[a as usize].len() >= 8 && model.leaves[b as usize].len() >= 8
@@ -132,21 +146,25 @@ fn check_map(seed: u64) -> Seen {
     let (mut questions, mut answers) = (Vec::new(), Vec::new());
     for _ in 0..200 {
         let [x, y] = [0, 1].map(|_| rng.usize(..model.surfels.len()));
-        let [p, q] = [place_at(&mut rng, &model, x), place_at(&mut rng, &model, y)];
-        let spot = |s: usize, g: GridPoint| -> (GridPoint, Spot) {
+        let [p, q] = [x, y].map(|surfel| {
+            (place_at(&mut rng, &model, surfel), normal_at(&mut rng, &model, surfel))
+        });
+        let spot = |s: usize, (g, normal): (GridPoint, Option<[f32; 3]>)| -> (End, Spot) {
             let frame = &map.view().frame().frame;
-            let position = frame.world_of(g);
+            let place = Place { position: frame.world_of(g), normal };
             let node = model.surfels[s].node as u32;
             let located = Located { surfel: s as u32, node, distance: 0.0 };
-            (frame.grid_of_query(position).unwrap(), map.spot(position, located).unwrap())
+            let g = frame.grid_of_query(place.position).unwrap();
+            let normal = normal.map(|n| quantise(n).unwrap().map(i128::from));
+            ((s, g, normal), map.spot(&place, located).unwrap())
         };
         let [(p, a), (q, b)] = [spot(x, p), spot(y, q)];
-        let note = format!("seed {seed}, {profile:?}: {x} at {p:?}, {y} at {q:?}");
+        let note = format!("seed {seed}, {profile:?}: {p:?}, {q:?}");
         let answer = map.pair_by_segment(&a, &b).unwrap();
         assert_eq!(answer.by_leaves, map.pair(a.located(), b.located()).unwrap(), "{note}");
         let settled_by = match x == y {
             true => SettledBy::Leaf,
-            false => expected(&model, profile, [(x, p), (y, q)], &answer),
+            false => expected(&model, profile, [p, q], &answer),
         };
         assert_eq!(answer.settled_by, settled_by, "{note}");
         let sees = !matches!(settled_by, SettledBy::Facing | SettledBy::Blocker(_));
@@ -156,7 +174,7 @@ fn check_map(seed: u64) -> Seen {
         assert_eq!(kept.pair_by_segment(&a, &b).unwrap(), answer, "kept, {note}");
         questions.push((a, b));
         answers.push(Ok(answer));
-        let blockers = || model.blockers(profile, [(x, p), (y, q)]).unwrap_or_default();
+        let blockers = || model.blockers(profile, [p, q]).unwrap_or_default();
         match settled_by {
             SettledBy::Leaf => seen.one_leaf += 1,
             SettledBy::Facing => seen.away += 1,
@@ -167,6 +185,9 @@ fn check_map(seed: u64) -> Seen {
             SettledBy::Blocker(_) => seen.blocked += 1,
             SettledBy::NoBlocker => seen.free += 1,
         }
+        let plain = model.blockers(profile, [(x, p.1, None), (y, q.1, None)]);
+        let faces = model.blockers(profile, [p, q]).is_some();
+        seen.decided_by_own_normal += u64::from(x != y && plain.is_some() != faces);
         seen.unlike_leaves += u64::from(answer.visible != answer.by_leaves.visible);
         seen.paper += u64::from(profile == Profile::Paper && x != y && answer.visible);
         seen.no_normal += u64::from(model.surfels[x].normal == [0; 3]);
@@ -187,6 +208,7 @@ fn q1_segments_are_asked_as_brute_force_does() {
     assert!(seen.blocked > 10 * n && seen.free > 10 * n, "{seen:?}");
     assert!(seen.unlike_leaves > n && seen.linked_but_blocked > 0, "{seen:?}");
     assert!(seen.paper > n && seen.two_sided > n && seen.no_normal > n, "{seen:?}");
+    assert!(seen.decided_by_own_normal > n, "{seen:?}");
 }
 
 /// Makes the bytes of a map of the furnished room.
@@ -207,7 +229,7 @@ fn what_does_not_fit_is_not_kept_and_answers_stay() {
     let mut spot = |z: f64| {
         let place = Place { position: [5.0 * rng.f64(), 5.0 * rng.f64(), z], normal: None };
         let located = map.locate(&place, Snap::Within(1.0)).unwrap();
-        map.spot(place.position, located).unwrap()
+        map.spot(&place, located).unwrap()
     };
     let questions: Vec<(Spot, Spot)> = (0..300).map(|_| (spot(0.01), spot(5.4))).collect();
     let answers = map.pairs_by_segment(&questions);
@@ -219,13 +241,14 @@ fn what_does_not_fit_is_not_kept_and_answers_stay() {
         assert_eq!(is_kept, memory_bytes == 1 << 30, "{memory_bytes} bytes");
         assert_eq!(map.pairs_by_segment(&questions), answers, "{memory_bytes} bytes");
     }
-    let outside = map.spot([9.0, 0.0, 0.0], *questions[0].0.located());
+    let at = |position| Place { position, normal: None };
+    let outside = map.spot(&at([9.0, 0.0, 0.0]), *questions[0].0.located());
     assert!(matches!(outside, Err(QueryError::OutsideCube { .. })), "{outside:?}");
     // Located on another map, which has more leaves.
     let other = room_map(500);
     let other = Map::open(&other).unwrap();
     let last = Located { surfel: map.view().summary().n_surfels - 1, node: 9999, distance: 0.0 };
-    let strange = other.spot([2.0, 2.0, 0.1], last).unwrap();
+    let strange = other.spot(&at([2.0, 2.0, 0.1]), last).unwrap();
     for memory_bytes in [0, 1 << 30] {
         other.keep_discs(memory_bytes).unwrap();
         assert!(other.pair_by_segment(&strange, &questions[0].0).is_err());

@@ -9,7 +9,7 @@ use pvmap::geometry::{GridPoint, Rect};
 use pvmap::vmap::tree::RoutingKey;
 use pvmap::vmap::{Node, Spacing, Split, Surfel, Tree};
 
-type Vector = [i128; 3];
+pub type Vector = [i128; 3];
 
 /// What [V-1] and [V-2] need of a surfel, and what the checks of the cut compare.
 #[derive(Debug, Clone)]
@@ -206,14 +206,26 @@ impl Model {
     }
 
     /// Lists the surfels that block between two places of two different leaves, by the words of
-    /// nothing where they do not face each other.
+    /// nothing where they do not face each other. Each end is a leaf, the place and the
+    /// normal given with it, quantised.
     pub fn blockers(
         &self,
         profile: Profile,
-        [(a, p), (b, q)]: [(usize, GridPoint); 2],
+        ends: [(usize, GridPoint, Option<Vector>); 2],
     ) -> Option<Vec<usize>> {
         let mut discs = self.surfels.clone();
-        (discs[a].centroid, discs[b].centroid) = (p.map(i128::from), q.map(i128::from));
+        for (surfel, g, normal) in ends {
+            let disc = &mut discs[surfel];
+            disc.centroid = g.map(i128::from);
+            let Some(n) = normal else { continue };
+            let (along, n2, m2) = (dot(n, disc.normal), dot(n, n), dot(disc.normal, disc.normal));
+            // cos² 30° = 3/4.
+            let is_within_30 = 4 * along * along >= 3 * n2 * m2;
+            if is_within_30 && along != 0 && (along > 0 || disc.two_sided) {
+                disc.normal = n;
+            }
+        }
+        let [(a, ..), (b, ..)] = ends;
         let others = (0..discs.len()).filter(|&k| k != a && k != b);
         let blocking = others.filter(|&k| blocks(profile, &discs, (a, b), k));
         face(&discs[a], &discs[b]).then(|| blocking.collect())

@@ -2,13 +2,14 @@
 //! takes that between the centroids of their surfels. Source: pipeline/README.md.
 
 use pvmap_geometry::disc::{Disc, faces_both};
+use pvmap_geometry::normal::{Normal, strays};
 use pvmap_vmap::FormatError;
 use pvmap_vmap::tree::disc_of;
 
 use crate::discs::Discs;
 use crate::error::QueryError;
 use crate::frames::Lookup;
-use crate::locate::Located;
+use crate::locate::{Located, Place, Target, target_of};
 use crate::map::Map;
 use crate::pair::{Link, PairAnswer};
 
@@ -24,6 +25,8 @@ const WIDE: u32 = 8;
 pub struct Spot {
     located: Located,
     g: [i32; 3],
+    /// The normal given, quantised; zero where there is none.
+    normal: Normal,
 }
 
 impl Spot {
@@ -49,7 +52,7 @@ pub struct SegmentAnswer {
 pub enum SettledBy {
     /// Both places lie on one leaf: they see each other.
     Leaf,
-    /// One looks away from the other, by the normals of their surfels.
+    /// One looks away from the other, by their normals.
     Facing,
     /// The link of their leaves, of eight surfels or more on both sides: they see each other.
     Link,
@@ -57,6 +60,14 @@ pub enum SettledBy {
     Blocker(u32),
     /// No surfel blocks: they see each other.
     NoBlocker,
+}
+
+/// Says whether a normal may be that of one of a surfel's points: within 30° of the surfel's, on
+/// either side where that has two.
+fn fits(normal: Normal, disc: &Disc) -> bool {
+    let is_near = |sign: i16| !strays(normal.map(|v| sign * v), disc.normal.map(i64::from));
+    let are_there = normal != [0; 3] && disc.normal != [0; 3];
+    are_there && (is_near(1) || disc.two_sided && is_near(-1))
 }
 
 /// Says whether a link has so many surfels on both sides that it settles segments, too.
@@ -69,9 +80,10 @@ impl Map<'_> {
     /// Puts a place on the grid, with the leaf that [`Map::locate`] found for it.
     ///
     /// # Errors
-    /// Where the place is outside the cube.
-    pub fn spot(&self, position: [f64; 3], located: Located) -> Result<Spot, QueryError> {
-        Ok(Spot { located, g: self.grid_of(position)?.map(|v| v as i32) })
+    /// Where the place is outside the cube, or its normal is no direction.
+    pub fn spot(&self, place: &Place, located: Located) -> Result<Spot, QueryError> {
+        let Target { g, normal } = target_of(&self.view().frame().frame, place)?;
+        Ok(Spot { located, g: g.map(|v| v as i32), normal: normal.unwrap_or_default() })
     }
 
     /// Decides whether two places see each other by the segment between themselves.
@@ -119,16 +131,18 @@ impl Map<'_> {
         Ok(found.map_or(SettledBy::NoBlocker, SettledBy::Blocker))
     }
 
-    /// Gives the disc of a leaf as it stands at a place.
+    /// Gives the disc of a leaf as it stands at a place, with the place's own normal where that
+    /// may be one of the leaf's points.
     ///
-    /// A place of the grid is in the cube as every centroid is: the bounds of
-    /// [`pvmap_geometry::disc`] hold.
+    /// A place of the grid is in the cube as every centroid is, and a normal is as long as any:
+    /// the bounds of [`pvmap_geometry::disc`] hold.
     fn end(&self, spot: &Spot) -> Result<Disc, FormatError> {
         let disc = match self.discs.get() {
             Some(discs) => *discs.disc(spot.located.surfel),
             None => disc_of(&self.surfel(spot.located.surfel)?, self.profile()),
         };
-        Ok(Disc { centroid: spot.g, ..disc })
+        let normal = if fits(spot.normal, &disc) { spot.normal } else { disc.normal };
+        Ok(Disc { centroid: spot.g, normal, ..disc })
     }
 
     /// Does what [`Map::keep`] does, and keeps what [`Map::pair_by_segment`] asks: at the most 70

@@ -28,10 +28,11 @@ Answer:
   cells     where each node's cell is, lowest and highest corner, in the scan's units
 
 With --segment the answer is that of the segment between the places themselves: no if a surfel
-blocks it or one of the places looks away. The map's own answer, about the surfels' centres, is told
-beside it. Take it where single answers count: at silhouettes and in half shadow it is right more
-often, it needs no octree, and it takes some microseconds more. Where a link of eight surfels or
-more on both sides holds for the places, that settles it.
+blocks it or one of the places looks away (by the normal given with it, where that is within 30° of
+its surfel's). The map's own answer, about the surfels' centres, is told beside it. Take it where
+single answers count: at silhouettes and in half shadow it is right more often, it needs no octree,
+and it takes some microseconds more. Where a link of eight surfels or more on both sides holds for
+the places, that settles it.
   leaves    whether the surfels say the same
   segment   what settles it: the link, or a surfel that blocks
 
@@ -83,7 +84,7 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     let exact = if args.points.exact { Some(ask_points(asked, args, &places)?) } else { None };
     let segment = match args.segment {
         true => {
-            let spot = |place: &Place, at| asked.named(asked.map.spot(place.position, at));
+            let spot = |place: &Place, at| asked.named(asked.map.spot(place, at));
             let ends = [spot(&places[0], a)?, spot(&places[1], b)?];
             Some(asked.named(asked.map.pair_by_segment(&ends[0], &ends[1]))?)
         }

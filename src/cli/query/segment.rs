@@ -60,9 +60,8 @@ impl Batch for SegmentPairs<'_, '_, '_> {
     fn answers(&self, rows: &RowBlock) -> Vec<Result<Self::Answer, RowError>> {
         let map = self.0.asked.map;
         let find = |row: Row<'_>| -> Result<(Spot, Spot), RowError> {
-            let spot = |(place, located): (Place, Located)| {
-                self.0.asked.of_row(map.spot(place.position, located))
-            };
+            let spot =
+                |(place, located): (Place, Located)| self.0.asked.of_row(map.spot(&place, located));
             let [a, b] = self.0.locate(row)?;
             Ok((spot(a)?, spot(b)?))
         };
