@@ -49,7 +49,9 @@ impl Discs {
     /// Says how much memory a map takes here at the most.
     pub(crate) fn held_bytes(view: &MapView<'_>) -> u64 {
         let of_discs = u64::from(view.summary().n_surfels) * size_of::<Disc>() as u64;
-        of_discs + u64::from(view.n_nodes()) * size_of::<Bound>() as u64
+        let of_bounds = u64::from(view.n_nodes()) * size_of::<Bound>() as u64;
+        // Threads make pieces that are then joined.
+        2 * (of_discs + of_bounds)
     }
 
     /// Reads all surfels.
@@ -70,15 +72,14 @@ impl Discs {
                 }
                 false => Box3::EMPTY,
             };
-            Ok((node.parent, Bound { limit, end: node.end, surfel: node.first_surfel }))
+            Ok(Bound { limit, end: node.end, surfel: node.first_surfel })
         };
-        let found: Vec<(u32, Bound)> =
+        let mut bounds: Vec<Bound> =
             (0..view.n_nodes()).into_par_iter().map(bound).collect::<Result<_, FormatError>>()?;
-        let (parents, mut bounds): (Vec<u32>, Vec<Bound>) = found.into_iter().unzip();
         // Backwards in preorder all that is below a node comes before it; a parent has a lower id.
-        for id in (1..bounds.len()).rev() {
-            let limit = bounds[id].limit;
-            let above = &mut bounds[parents[id] as usize].limit;
+        for id in (1..view.n_nodes()).rev() {
+            let limit = bounds[id as usize].limit;
+            let above = &mut bounds[view.parent(id)? as usize].limit;
             *above = above.join(&limit);
         }
         Ok(Discs { profile, discs, bounds })
