@@ -3,7 +3,7 @@
 use pvmap_geometry::disc::Profile;
 use pvmap_vmap::{Shape, Spacing};
 
-use crate::config::{PRESETS, RawConfig, RawProfile, RawSpacing, RawTree};
+use crate::config::{PRESETS, RawConfig, RawInteraction, RawProfile, RawSpacing, RawTree};
 use crate::{BuildConfig, Error};
 
 /// A configuration with a short name.
@@ -32,13 +32,17 @@ impl Setting {
     }
 
     /// Gives the word for how its map is made and asked: exact and by its leaves, or otherwise.
-    pub fn mode(&self) -> &'static str {
-        match (self.config.interaction.is_some(), self.by_segment) {
-            (false, false) => "exact",
-            (true, false) => "given list",
-            (false, true) => "segments",
-            (true, true) => "given list, segments",
-        }
+    pub fn mode(&self) -> String {
+        let BuildConfig { interaction, approximation, .. } = &self.config;
+        let words = [
+            (interaction.is_some(), "given list"),
+            (approximation.opening_angle > 0.0, "opening angle"),
+            (approximation.min_form_factor > 0.0, "form factor"),
+            (self.by_segment, "segments"),
+        ];
+        let said: Vec<&str> =
+            words.into_iter().filter(|(is_so, _)| *is_so).map(|(_, word)| word).collect();
+        if said.is_empty() { "exact".to_owned() } else { said.join(", ") }
     }
 
     /// Gives the word for its tree.
@@ -68,7 +72,7 @@ impl Setting {
 }
 
 /// Values to try, an axis each; an empty axis keeps what a configuration says.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Axes {
     /// Deepest levels.
     pub max_level: Vec<u8>,
@@ -82,6 +86,10 @@ pub struct Axes {
     pub profile: Vec<RawProfile>,
     /// Where half spacings come from.
     pub spacing: Vec<RawSpacing>,
+    /// Opening angles; 0 is exact.
+    pub opening_angle: Vec<f64>,
+    /// Least form factors; 0 is exact.
+    pub min_form_factor: Vec<f64>,
 }
 
 impl Axes {
@@ -96,6 +104,12 @@ impl Axes {
         found = each(found, &self.tree, |raw, &v| raw.tree = Some(v));
         found = each(found, &self.profile, |raw, &v| raw.profile = Some(v));
         found = each(found, &self.spacing, |raw, &v| raw.spacing = Some(v));
+        found = each(found, &self.opening_angle, |raw, &v| {
+            raw.interaction.get_or_insert_default().opening_angle = Some(v);
+        });
+        found = each(found, &self.min_form_factor, |raw, &v| {
+            raw.interaction.get_or_insert_default().min_form_factor = Some(v);
+        });
         found = each(found, &self.max_level, |raw, &v| raw.max_level = Some(v));
         found = each(found, &self.leaf_capacity, |raw, &v| raw.leaf_capacity = Some(v));
         each(found, &self.max_spread, |raw, &v| raw.max_spread = Some(v))
@@ -155,7 +169,7 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Goes from one configuration along one axis at a time: levels, capacities, a spread, spacings
+    /// Goes from one configuration along one axis at a time: approximations, levels, capacities, a spread, spacings
     /// of leaves around (with small leaves, too, which need them), all three as `accurate` has
     /// them, the paper's profile and tree, and both.
     ///
@@ -165,6 +179,8 @@ impl Sweep {
         let one = |axes: Axes| Sweep::of(&[(name.to_owned(), base.clone())], &axes);
         let mut sweep = one(Axes::default())?;
         let steps = [
+            Axes { opening_angle: vec![0.06, 0.1, 0.15, 0.25], ..Axes::default() },
+            Axes { min_form_factor: vec![1e-4], ..Axes::default() },
             Axes { max_level: vec![5, 6, 7], ..Axes::default() },
             Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },
             Axes { max_spread: vec![3], ..Axes::default() },
@@ -232,6 +248,10 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
     let level = over.max_level.filter(|&v| v != plain.max_level);
     let capacity = over.leaf_capacity.filter(|&v| v != plain.leaf_capacity);
     let spread = over.max_spread.filter(|&v| v != plain.max_spread);
+    let RawInteraction { opening_angle, min_form_factor, .. } =
+        over.interaction.clone().unwrap_or_default();
+    let angle = opening_angle.filter(|&v| v != plain.approximation.opening_angle);
+    let factor = min_form_factor.filter(|&v| v != plain.approximation.min_form_factor);
     [
         tree.map(|(word, _)| format!("tree {word}")),
         profile.map(|(word, _)| format!("profile {word}")),
@@ -239,6 +259,8 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
         level.map(|v| format!("level {v}")),
         capacity.map(|v| format!("capacity {v}")),
         spread.map(|v| format!("spread {v}")),
+        angle.map(|v| format!("opening angle {v}")),
+        factor.map(|v| format!("form factor {v}")),
     ]
     .into_iter()
     .flatten()
@@ -296,6 +318,12 @@ mod tests {
         assert!(differs(|c| c.max_spread.into()) && differs(|c| (c.tree == Shape::Paper).into()));
         assert!(differs(|c| (c.profile == Profile::Paper).into()));
         assert!(differs(|c| (c.spacing == Spacing::Neighbors).into()));
+        assert!(differs(|c| (c.approximation.opening_angle > 0.0).into()));
+        assert!(differs(|c| (c.approximation.min_form_factor > 0.0).into()));
+        let modes: Vec<String> = sweep.settings.iter().map(Setting::mode).collect();
+        assert!(
+            ["exact", "opening angle", "form factor"].iter().all(|m| modes.iter().any(|n| n == m))
+        );
         assert!(
             names(&sweep).contains(&"paper") && names(&sweep).contains(&"accurate"),
             "{:?}",

@@ -8,7 +8,7 @@ use super::{Built, Clock, Judge, Outcome, Row, Share, Subject};
 
 /// The names of the columns of the CSV.
 pub const CSV_HEADER: &str = "setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,\
-outcome,build_seconds,visibility_seconds,cpu_seconds,peak_rss_anon_bytes,leaves,links,map_bytes,\
+opening_angle,min_form_factor,outcome,build_seconds,visibility_seconds,cpu_seconds,peak_rss_anon_bytes,leaves,links,map_bytes,\
 query_seconds,judge,facing_pairs,wrongly_visible,wrongly_visible_low,wrongly_visible_high,\
 wrongly_invisible,wrongly_invisible_low,wrongly_invisible_high,error,error_low,error_high,\
 on_front";
@@ -36,13 +36,15 @@ pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String>
     let setting = &row.setting;
     let mut cells: Vec<String> = vec![
         setting.name.clone(),
-        setting.mode().to_owned(),
+        setting.mode(),
         setting.tree().to_owned(),
         setting.profile().to_owned(),
         setting.spacing().to_owned(),
         setting.config.max_level.to_string(),
         setting.config.leaf_capacity.to_string(),
         setting.config.max_spread.to_string(),
+        setting.config.approximation.opening_angle.to_string(),
+        setting.config.approximation.min_form_factor.to_string(),
         outcome_word(&row.outcome).to_owned(),
     ];
     match row.built() {

@@ -4,7 +4,6 @@
 use pvmap_geometry::disc::{Disc, faces_both};
 use pvmap_geometry::normal::{Normal, strays};
 use pvmap_vmap::FormatError;
-use pvmap_vmap::tree::disc_of;
 
 use crate::discs::Discs;
 use crate::error::QueryError;
@@ -139,7 +138,10 @@ impl Map<'_> {
     fn end(&self, spot: &Spot) -> Result<Disc, FormatError> {
         let disc = match self.discs.get() {
             Some(discs) => *discs.disc(spot.located.surfel),
-            None => disc_of(&self.surfel(spot.located.surfel)?, self.profile()),
+            None => {
+                let id = spot.located.surfel;
+                self.disc_of(id, &self.surfel(id)?)?
+            }
         };
         let normal = if fits(spot.normal, &disc) { spot.normal } else { disc.normal };
         Ok(Disc { centroid: spot.g, normal, ..disc })

@@ -2,7 +2,7 @@
 
 use pvmap_geometry::Box3;
 use pvmap_geometry::disc::{self, Disc, Profile, half_sides, segment_meets};
-use pvmap_vmap::tree::{Nodes, disc_of};
+use pvmap_vmap::tree::Nodes;
 use pvmap_vmap::{FormatError, MapView};
 use rayon::prelude::*;
 
@@ -40,7 +40,7 @@ fn limit_of(profile: Profile, k: &Disc) -> Box3 {
         max: [0, 1, 2].map(|i| k.centroid[i] + half[i]),
     };
     match profile {
-        Profile::Patch => around.meet(&k.limit),
+        Profile::Patch | Profile::Oriented => around.meet(&k.limit),
         Profile::Paper => around,
     }
 }
@@ -59,7 +59,7 @@ impl Discs {
         let (view, profile) = (map.view(), map.profile());
         map.root()?;
         let ids = 0..view.summary().n_surfels;
-        let disc = |id: u32| map.surfel(id).map(|surfel| disc_of(&surfel, profile));
+        let disc = |id: u32| map.disc_of(id, &map.surfel(id)?);
         let discs: Vec<Disc> = ids.into_par_iter().map(disc).collect::<Result<_, _>>()?;
         let bound = |id: u32| {
             let node = view.node(id)?;

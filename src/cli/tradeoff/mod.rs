@@ -41,7 +41,7 @@ the triangles of --truth, asked as pvmap accuracy asks them. Without either the 
 answer, as with pvmap query MAP pair --exact; that is a reference and not truth, and is called so.
 A scan file is ingested with default options; for others give the octree of pvmap ingest.
 
-Settings: without any of the options from --config to --spacing, some fifteen settings around
+Settings: without any of the options from --config to --min-form-factor, some twenty settings around
 depth8, most with one thing changed. With several values the settings are all combinations of them:
 --max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has it; with
 several configurations each of them is combined. A setting whose build takes longer than --limit
@@ -145,6 +145,12 @@ pub(super) struct Args {
         hide_possible_values = true
     )]
     spacing: Vec<RawSpacing>,
+    /// Opening angles to try, 0 to 1; 0 is exact
+    #[arg(long, value_delimiter = ',', value_name = "ANGLE,…")]
+    opening_angle: Vec<f64>,
+    /// Least form factors to try, 0 to 1; 0 is exact
+    #[arg(long, value_delimiter = ',', value_name = "F,…")]
+    min_form_factor: Vec<f64>,
     /// Ask each map by the segments between the points, too: rows of their
     /// own
     #[arg(long, verbatim_doc_comment)]
@@ -282,6 +288,8 @@ fn axes(args: &Args) -> Axes {
         tree: args.tree.clone(),
         profile: args.profile.clone(),
         spacing: args.spacing.clone(),
+        opening_angle: args.opening_angle.clone(),
+        min_form_factor: args.min_form_factor.clone(),
     }
 }
 
@@ -496,6 +504,8 @@ fn rows_json(rows: &[Row]) -> Vec<Value> {
             "max_level": setting.config.max_level,
             "leaf_capacity": setting.config.leaf_capacity,
             "max_spread": setting.config.max_spread,
+            "opening_angle": setting.config.approximation.opening_angle,
+            "min_form_factor": setting.config.approximation.min_form_factor,
             "outcome": table::outcome_word(&row.outcome),
             "why_not": row.outcome.why_not(),
             "on_front": on_front,
