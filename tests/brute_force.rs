@@ -118,7 +118,7 @@ fn random_config(rng: &mut Rng) -> BuildConfig {
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
         profile: [Profile::Paper, Profile::Patch, Profile::Oriented][rng.usize(..3)],
         spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
-        interaction: None,
+        ..BuildConfig::default()
     }
 }
 

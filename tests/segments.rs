@@ -23,7 +23,8 @@ use serde_json::Value;
 
 use crate::cli_common::{Bench, ply_header};
 use crate::common::{
-    LIMITS, build_with, contents, ingest_with, is_slow_run, on_threads, random_cloud, room_cloud,
+    LIMITS, build_with, contents, ingest_with, is_slow_run, on_threads, random_cloud, rects,
+    room_cloud,
 };
 use crate::model::{Model, Vector};
 
@@ -85,9 +86,9 @@ fn random_map(rng: &mut Rng) -> (Vec<u8>, Profile) {
         leaf_capacity: rng.u64(..=8),
         max_spread: 0,
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
-        profile: if rng.u8(..3) > 0 { Profile::Patch } else { Profile::Paper },
+        profile: [Profile::Patch, Profile::Oriented, Profile::Paper][rng.usize(..3)],
         spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
-        interaction: None,
+        ..BuildConfig::default()
     };
     (build_with(&octree, &config, &limits), config.profile)
 }
@@ -138,8 +139,9 @@ fn expected(model: &Model, profile: Profile, ends: [End; 2], answer: &SegmentAns
 fn check_map(seed: u64) -> Seen {
     let mut rng = Rng::with_seed(seed);
     let (bytes, profile) = random_map(&mut rng);
-    let (nodes, surfels, _) = contents(&MapView::open(&bytes).unwrap());
-    let model = Model::new(&nodes, &surfels, profile);
+    let view = MapView::open(&bytes).unwrap();
+    let (nodes, surfels, _) = contents(&view);
+    let model = Model::new(&nodes, &surfels, &rects(&view), profile);
     let (map, kept) = (Map::open(&bytes).unwrap(), Map::open(&bytes).unwrap());
     assert!(kept.keep_discs(1 << 30).unwrap(), "seed {seed}");
     let mut seen = Seen::default();

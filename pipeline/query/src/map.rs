@@ -26,6 +26,7 @@ pub struct Map<'a> {
     view: MapView<'a>,
     profile: Profile,
     is_slanted: bool,
+    is_coarse: bool,
     pub(crate) frames: LinkFrames,
     pub(crate) kept: OnceLock<Kept>,
     pub(crate) discs: OnceLock<Discs>,
@@ -40,10 +41,11 @@ impl<'a> Map<'a> {
         let view = MapView::open(bytes)?;
         let config = view.config()?;
         let profile = view.profile()?;
-        let slanting = ["interaction_pairs = ", "opening_angle = "];
-        let is_slanted = config.lines().any(|line| slanting.iter().any(|s| line.starts_with(s)));
+        let has_key = |key| config.lines().any(|line| line.split(" = ").next() == Some(key));
+        let is_coarse = has_key("opening_angle");
+        let is_slanted = is_coarse || has_key("interaction_pairs");
         let (frames, kept, discs) = (LinkFrames::default(), OnceLock::new(), OnceLock::new());
-        Ok(Map { view, profile, is_slanted, frames, kept, discs })
+        Ok(Map { view, profile, is_slanted, is_coarse, frames, kept, discs })
     }
 
     /// Does what [`Map::open`] does, for a map that keeps decoded links in so many bytes at the
@@ -69,6 +71,12 @@ impl<'a> Map<'a> {
     /// started from given pairs [V-5], or did not open some nodes that are no leaves.
     pub(crate) fn is_slanted(&self) -> bool {
         self.is_slanted
+    }
+
+    /// Says whether a link may cover leaves that do not face each other: nodes that are no leaves
+    /// stood for them.
+    pub(crate) fn is_coarse(&self) -> bool {
+        self.is_coarse
     }
 
     /// Gives the cell of a node in world units, lowest and highest corner.

@@ -143,7 +143,7 @@ impl Map<'_> {
         let walk = Walk { map: self, from: &own, to: light, skip: &|_| false };
         let later = walk.run::<Counted>()?;
         // Links to earlier surfels stand in lists all over the light, but none behind the surfel.
-        let behind = |node: &Node| is_behind(&surfel, &node.cell());
+        let behind = |node: &Node| !self.is_coarse() && is_behind(&surfel, &node.cell());
         let walk = Walk { map: self, from: light, to: &own, skip: &behind };
         let found = later.and(walk.run::<Counted>()?);
         let n_own = u128::from(light.n_points_under(&leaf));

@@ -46,7 +46,7 @@ impl Map<'_> {
         let (whole, own) = (Part::whole(self)?, Part::leaf(self, from.surfel)?);
         let walk = Walk { map: self, from: &own, to: &whole, skip: &|_| false };
         let Seen { ranges: mut seen, n_points, n_links, n_nodes } = walk.run::<Seen<true>>()?;
-        let behind = |node: &Node| is_behind(&surfel, &node.cell());
+        let behind = |node: &Node| !self.is_coarse() && is_behind(&surfel, &node.cell());
         let walk = Walk { map: self, from: &whole, to: &own, skip: &behind };
         let earlier = walk.run::<Seen<false>>()?;
         seen.extend(earlier.ranges);

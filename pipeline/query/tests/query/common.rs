@@ -12,7 +12,7 @@ use pvmap_vmap::links::LinkEncoder;
 use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
 use pvmap_vmap::tree::{fill_overhangs, root_node};
-use pvmap_vmap::{MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
+use pvmap_vmap::{MapConfig, MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
 
 /// A sample with an oriented normal, or [0; 3] without one.
 pub(crate) type Sample = (GridPoint, Normal);
