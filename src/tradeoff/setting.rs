@@ -169,9 +169,9 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Goes from one configuration along one axis at a time: approximations, levels, capacities, a spread, spacings
-    /// of leaves around (with small leaves, too, which need them), all three as `accurate` has
-    /// them, the paper's profile and tree, and both.
+    /// Goes from one configuration along one axis at a time: approximations, levels, capacities, a
+    /// spread, spacings of leaves around (with small leaves, too, which need them), all three as
+    /// `accurate` has them, the paper's profile and tree, and both.
     ///
     /// # Errors
     /// Where the configuration is none.

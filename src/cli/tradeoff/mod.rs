@@ -41,12 +41,13 @@ the triangles of --truth, asked as pvmap accuracy asks them. Without either the 
 answer, as with pvmap query MAP pair --exact; that is a reference and not truth, and is called so.
 A scan file is ingested with default options; for others give the octree of pvmap ingest.
 
-Settings: without any of the options from --config to --min-form-factor, some twenty settings around
-depth8, most with one thing changed. With several values the settings are all combinations of them:
---max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has it; with
-several configurations each of them is combined. A setting whose build takes longer than --limit
-is stopped, and one that would take far longer, by those built before it, is not begun. Settings
-that cut the same tree have the same map: it is built once, and the others' rows say as which.
+Settings: without any of the options from --config to --min-form-factor, some twenty settings
+around depth8, most with one thing changed. With several values the settings are all combinations
+of them: --max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has
+it; with several configurations each of them is combined. A setting whose build takes longer than
+--limit is stopped, and one that would take far longer, by those built before it, is not begun.
+Settings that cut the same tree have the same map: it is built once, and the others' rows say as
+which. What is approximate, by an opening angle or a least form factor, has colors of its own.
 
 Columns, with 95 % intervals (Wilson):
   seconds              from the octree to the finished map; of several --runs the least
