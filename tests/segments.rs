@@ -86,7 +86,11 @@ fn random_map(rng: &mut Rng) -> (Vec<u8>, Profile) {
         leaf_capacity: rng.u64(..=8),
         max_spread: 0,
         tree: if rng.bool() { Shape::Binned } else { Shape::Paper },
-        profile: [Profile::Patch, Profile::Oriented, Profile::Paper][rng.usize(..3)],
+        profile: match rng.u8(..5) {
+            0..3 => Profile::Patch,
+            3 => Profile::Oriented,
+            _ => Profile::Paper,
+        },
         spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
         ..BuildConfig::default()
     };
@@ -146,7 +150,7 @@ fn check_map(seed: u64) -> Seen {
     assert!(kept.keep_discs(1 << 30).unwrap(), "seed {seed}");
     let mut seen = Seen::default();
     let (mut questions, mut answers) = (Vec::new(), Vec::new());
-    for _ in 0..200 {
+    for _ in 0..240 {
         let [x, y] = [0, 1].map(|_| rng.usize(..model.surfels.len()));
         let [p, q] = [x, y].map(|surfel| {
             (place_at(&mut rng, &model, surfel), normal_at(&mut rng, &model, surfel))

@@ -8,8 +8,9 @@ use super::{Built, Clock, Judge, Outcome, Row, Share, Subject};
 
 /// The names of the columns of the CSV.
 pub const CSV_HEADER: &str = "setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,\
-opening_angle,min_form_factor,outcome,build_seconds,visibility_seconds,cpu_seconds,peak_rss_anon_bytes,leaves,links,map_bytes,\
-query_seconds,judge,facing_pairs,wrongly_visible,wrongly_visible_low,wrongly_visible_high,\
+opening_angle,min_form_factor,outcome,build_seconds,visibility_seconds,cpu_seconds,\
+peak_rss_anon_bytes,leaves,links,map_bytes,query_seconds,judge,facing_pairs,\
+wrongly_visible,wrongly_visible_low,wrongly_visible_high,\
 wrongly_invisible,wrongly_invisible_low,wrongly_invisible_high,error,error_low,error_high,\
 on_front";
 

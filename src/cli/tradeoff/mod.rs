@@ -101,8 +101,8 @@ pub(super) struct Args {
     /// What pairs and generated points are drawn from
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
-    /// Configurations: TOML files, or where there is none of a name presets
-    /// [default: depth8]
+    /// Configurations: TOML files, or where there is none of a name
+    /// presets [default: depth8]
     #[arg(long, value_delimiter = ',', value_name = "NAME,…", verbatim_doc_comment)]
     config: Vec<PathBuf>,
     /// Deepest levels to try, 1 to 21
@@ -147,10 +147,10 @@ pub(super) struct Args {
     )]
     spacing: Vec<RawSpacing>,
     /// Opening angles to try, 0 to 1; 0 is exact
-    #[arg(long, value_delimiter = ',', value_name = "ANGLE,…")]
+    #[arg(long, value_delimiter = ',', value_name = "A,…")]
     opening_angle: Vec<f64>,
-    /// Least form factors to try, 0 to 1; 0 is exact
-    #[arg(long, value_delimiter = ',', value_name = "F,…")]
+    /// Least form factors to try, 0 to 1, with commas; 0 is exact
+    #[arg(long, value_delimiter = ',', value_name = "F")]
     min_form_factor: Vec<f64>,
     /// Ask each map by the segments between the points, too: rows of their
     /// own
