@@ -26,6 +26,8 @@ use pvmap_store::runs::Pair;
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Spacing, Split, Surfel, Tree};
 
+use crate::shares::fixed_bytes;
+
 /// What may be left out or seen coarsely; 0 for nothing.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Approximation {
@@ -102,7 +104,8 @@ const START_BYTES: u64 = 2 * size_of::<Pair>() as u64;
 /// Sorts the pairs to decide into layers, the coarsest first, the tree itself last.
 ///
 /// # Errors
-/// Where that needs more than a quarter of the memory.
+/// Where sorting them needs more than a quarter of the memory, or the trees of the layers need more
+/// than there is.
 pub fn layers<'a>(
     tree: &'a Tree,
     starts: &[Pair],
@@ -124,12 +127,16 @@ pub fn layers<'a>(
         most_starts: (have_bytes - need_bytes) / START_BYTES,
     };
     starts.iter().try_for_each(|&(a, b)| sorter.sort(a, b))?;
-    let Sorter { mut of_level, extents, .. } = sorter;
+    let Sorter { mut of_level, extents, n_starts, .. } = sorter;
     drop(extents);
     let near = of_level.pop().unwrap_or_default();
-    let coarse = of_level.into_iter().zip(0..).filter(|(starts, _)| !starts.is_empty());
-    let mut layers: Vec<Layer<'a>> =
-        coarse.map(|(starts, level)| cut_off(tree, level, starts)).collect();
+    let mut held_bytes = fixed_bytes(tree) + n_starts * size_of::<Pair>() as u64;
+    let mut layers = Vec::new();
+    for (starts, level) in of_level.into_iter().zip(0..).filter(|(starts, _)| !starts.is_empty()) {
+        let layer = cut_off(tree, level, starts, memory_bytes.saturating_sub(held_bytes))?;
+        held_bytes += fixed_bytes(&layer.tree) + (layer.nodes.len() * size_of::<u32>()) as u64;
+        layers.push(layer);
+    }
     layers.push(Layer::all(tree, near));
     Ok(layers)
 }
@@ -284,14 +291,31 @@ fn farthest2(a: &Extent, b: &Extent) -> f64 {
 }
 
 /// Cuts a tree off at a level.
-fn cut_off(tree: &Tree, level: u8, starts: Vec<Pair>) -> Layer<'static> {
-    let mut cut = Tree::default();
-    let mut nodes: Vec<u32> = Vec::new();
+///
+/// # Errors
+/// Where what is left of the tree needs more memory than it may take.
+fn cut_off(
+    tree: &Tree,
+    level: u8,
+    starts: Vec<Pair>,
+    memory_bytes: u64,
+) -> Result<Layer<'static>, StoreError> {
+    // Counted first, so that nothing has spare room or is begun that does not fit.
+    let (n_nodes, n_surfels) = left_of(tree, level)
+        .fold((0, 0), |(n, of_them), (_, unit)| (n + 1, of_them + usize::from(unit.is_some())));
+    let of_nodes = n_nodes * (size_of::<Node>() + size_of::<u32>());
+    let places = tree.nodes.len() * size_of::<u32>();
+    let need_bytes = (of_nodes + n_surfels * size_of::<Surfel>() + places) as u64;
+    require("the coarser trees of an approximate build", need_bytes, memory_bytes)?;
+    let mut nodes: Vec<u32> = Vec::with_capacity(n_nodes);
+    let mut cut = Tree {
+        nodes: Vec::with_capacity(n_nodes),
+        surfels: Vec::with_capacity(n_surfels),
+        ..Tree::default()
+    };
     let mut place = vec![u32::MAX; tree.nodes.len()];
-    let mut at = 0;
-    while let Some(node) = tree.nodes.get(at) {
-        let id = nodes.len() as u32;
-        let unit = unit_of(tree, node, level);
+    for (at, unit) in left_of(tree, level) {
+        let (id, node) = (nodes.len() as u32, &tree.nodes[at]);
         place[at] = id;
         nodes.push(at as u32);
         cut.nodes.push(Node {
@@ -300,7 +324,6 @@ fn cut_off(tree: &Tree, level: u8, starts: Vec<Pair>) -> Layer<'static> {
             split: if unit.is_some() { Split::Leaf } else { node.split },
             ..*node
         });
-        at = if unit.is_some() { node.end as usize } else { at + 1 };
         cut.surfels.extend(unit.map(|surfel| Surfel { node: id, ..surfel }));
     }
     for id in 0..nodes.len() {
@@ -310,7 +333,19 @@ fn cut_off(tree: &Tree, level: u8, starts: Vec<Pair>) -> Layer<'static> {
         (cut.nodes[id].end, cut.nodes[id].end_surfel) = (end as u32, after);
     }
     let starts = starts.into_iter().map(|(a, b)| (place[a as usize], place[b as usize])).collect();
-    Layer { tree: Cow::Owned(cut), starts, nodes }
+    Ok(Layer { tree: Cow::Owned(cut), starts, nodes })
+}
+
+/// Walks what is left of a tree that is cut off at a level, in preorder: ids of the whole tree, of
+/// leaves and units with their surfel.
+fn left_of(tree: &Tree, level: u8) -> impl Iterator<Item = (usize, Option<Surfel>)> + '_ {
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let (at, node) = (next, tree.nodes.get(next)?);
+        let unit = unit_of(tree, node, level);
+        next = if unit.is_some() { node.end as usize } else { at + 1 };
+        Some((at, unit))
+    })
 }
 
 /// Gives the surfel that stands for a node in the layer of a level: a leaf's own, or one put

@@ -76,7 +76,7 @@ impl Shares {
 }
 
 /// What a build holds of a tree besides its tables, sheets, links and their plan.
-fn fixed_bytes(tree: &Tree) -> u64 {
+pub(crate) fn fixed_bytes(tree: &Tree) -> u64 {
     let n_inner = tree.nodes.len().saturating_sub(tree.surfels.len());
     let of_surfels = tree.surfels.len() * size_of::<Surfel>();
     let of_nodes = tree.nodes.len() * size_of::<Node>() + n_inner * Sheets::A_FAMILY_BYTES;

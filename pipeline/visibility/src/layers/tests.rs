@@ -1,4 +1,4 @@
-//! Layers of random trees, held against what they are defined to be.
+//! The layers of random trees against all their leaf pairs, one by one.
 
 use super::*;
 use fastrand::Rng;
@@ -231,4 +231,18 @@ fn d9_what_does_not_fit_is_refused() {
     let nodes_only = 4 * (tree.nodes.len() as u64 * NODE_BYTES + START_BYTES);
     assert!(matches!(of(nodes_only), Err(StoreError::Budget { .. })));
     assert!(of(1 << 20).unwrap() > 1);
+}
+
+#[test]
+fn d9_a_coarser_tree_that_does_not_fit_is_refused() {
+    // No leaf has a normal: no node becomes a unit, and nothing is cut off.
+    let mut tree = random_tree(&mut Rng::with_seed(1));
+    tree.surfels.iter_mut().for_each(|leaf| leaf.normal = [0; 3]);
+    let of = |bytes| cut_off(&tree, 3, Vec::new(), bytes);
+    let records = tree.nodes.len() * size_of::<Node>() + tree.surfels.len() * size_of::<Surfel>();
+    assert!(matches!(of(records as u64), Err(StoreError::Budget { .. })));
+    let layer = of(2 * records as u64).unwrap();
+    assert_eq!(layer.tree.nodes.len(), tree.nodes.len());
+    assert_eq!(layer.tree.nodes.capacity(), tree.nodes.len());
+    assert_eq!(layer.tree.surfels.capacity(), tree.surfels.len());
 }
