@@ -431,7 +431,10 @@ fn no_points_make_an_empty_octree_and_an_empty_map() {
     for name in ["none.las", "none.laz", "none.ply"] {
         let run = bench.line(&format!("ingest {name} --overwrite")).ok();
         run.warns(&["no points"]);
-        bench.line("build none.octree").ok();
+        for options in ["--config paper", "--profile oriented", "--config quick", ""] {
+            bench.line(&format!("build none.octree {options}")).ok();
+            bench.line("verify none.vmap").ok();
+        }
         for artifact in ["none.octree", "none.vmap"] {
             bench.line(&format!("verify {artifact}")).ok();
             bench.line(&format!("info {artifact} --json")).ok();

@@ -138,7 +138,7 @@ pub fn build(
         work.clear(|_| true)?;
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
-    require_disk(work.path(), least_output_bytes(input) + shares.mapped_bytes)?;
+    require_disk(work.path(), least_output_bytes(input, options.profile) + shares.mapped_bytes)?;
     watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
@@ -178,10 +178,11 @@ pub fn build(
     drop(above);
     let n_tasks = plans.n_tasks() as u64;
     let stopped = journal.stopped(n_tasks);
-    let written = write(input, &config, runs, journal, watch).map_err(|e| match e {
-        VisibilityError::Store(StoreError::Interrupted) => stopped,
-        e => e,
-    })?;
+    let written =
+        write(input, (&config, options.profile), runs, journal, watch).map_err(|e| match e {
+            VisibilityError::Store(StoreError::Interrupted) => stopped,
+            e => e,
+        })?;
     let WrittenMap { summary, output_bytes, link_bytes, temporary_bytes } = written;
     Ok(BuildReport {
         summary,

@@ -1,6 +1,7 @@
 //! The map file of a build: written from the tree and the sorted links once all are decided.
 
 use pvmap_geometry::Rect;
+use pvmap_geometry::disc::Profile;
 use pvmap_store::runs::Runs;
 use pvmap_store::sections::Section;
 use pvmap_store::{SectionFile, StoreError, Watch};
@@ -16,15 +17,15 @@ use crate::error::VisibilityError;
 use crate::journal::{self, Journal};
 
 /// What a map has at the least: how many links there will be nobody knows before (F21).
-pub(crate) fn least_output_bytes(input: &MapInput<'_>) -> u64 {
+pub(crate) fn least_output_bytes(input: &MapInput<'_>, profile: Profile) -> u64 {
     let Tree { nodes, surfels, rects } = input.tree;
     let records = nodes.len() * Node::BYTES + surfels.len() * Surfel::BYTES;
-    head_bytes(n_sections(input.tree)) + (records + rects.len() * Rect::BYTES) as u64
+    head_bytes(n_sections(profile)) + (records + rects.len() * Rect::BYTES) as u64
 }
 
-/// Counts the sections: a tree with rectangles has one more. [F-22]
-fn n_sections(tree: &Tree) -> usize {
-    SECTIONS.len() + usize::from(!tree.rects.is_empty())
+/// Counts the sections: with rectangles there is one more, even where no surfel has one. [F-22]
+fn n_sections(profile: Profile) -> usize {
+    SECTIONS.len() + usize::from(profile == Profile::Oriented)
 }
 
 /// What was written.
@@ -41,13 +42,13 @@ pub(crate) struct WrittenMap {
 /// Writes the map from the tree and the spilled links, and gives it its name.
 pub(crate) fn write(
     input: &MapInput<'_>,
-    config: &str,
+    (config, profile): (&str, Profile),
     runs: Runs,
     journal: Journal,
     watch: &dyn Watch,
 ) -> Result<WrittenMap, VisibilityError> {
     let tree = input.tree;
-    let head_bytes = head_bytes(n_sections(tree));
+    let head_bytes = head_bytes(n_sections(profile));
     let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes)?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
@@ -68,9 +69,9 @@ pub(crate) fn write(
     };
     let room = file.rewrite(&room, &summary.to_bytes())?;
     let (link_bytes, temporary_bytes) = (written.section.len_bytes, written.temporary_bytes);
-    let rects = match tree.rects.is_empty() {
-        true => None,
-        false => Some(write_records(&mut file, &tree.rects)?),
+    let rects = match profile {
+        Profile::Oriented => Some(write_records(&mut file, &tree.rects)?),
+        Profile::Patch | Profile::Paper => None,
     };
     let sections = [room, config, nodes, surfels, written.section, index, frame, crs];
     let sections: Vec<Section> = sections.into_iter().chain(rects).collect();
