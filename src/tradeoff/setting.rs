@@ -171,7 +171,7 @@ impl Sweep {
 
     /// Goes from one configuration along one axis at a time: approximations, levels, capacities, a
     /// spread, spacings of leaves around (with small leaves, too, which need them), all three as
-    /// `accurate` has them, the paper's profile and tree, and both.
+    /// `accurate` has them, the other profiles, the paper's tree, and both.
     ///
     /// # Errors
     /// Where the configuration is none.
@@ -196,7 +196,7 @@ impl Sweep {
                 max_spread: vec![3],
                 ..Axes::default()
             },
-            Axes { profile: vec![RawProfile::Paper], ..Axes::default() },
+            Axes { profile: vec![RawProfile::Oriented, RawProfile::Paper], ..Axes::default() },
             Axes { tree: vec![RawTree::Paper], ..Axes::default() },
             Axes {
                 tree: vec![RawTree::Paper],
