@@ -24,7 +24,7 @@ Presets:
   paper     as in the paper: a plain octree, with averaged normals at edges
 
 A configuration file has the same names as keys, all optional, and a table for what pairs are
-decided; flags override it. In brackets above stands what depth8 says:
+decided; flags override it. In brackets above stands what depth8 says, which has no list:
   max_level = 8
   leaf_capacity = 50
   max_spread = 0
@@ -35,8 +35,8 @@ decided; flags override it. In brackets above stands what depth8 says:
   memory = \"1GiB\"
   [interaction]
   list = \"pairs.csv\"     columns node_a,node_b; instead of all siblings
-  opening_angle = 0.15   0 decides all leaf pairs, and so does the default
-  min_form_factor = 1e-6
+  opening_angle = 0      0 decides all leaf pairs
+  min_form_factor = 0
 
 A build can be stopped at any time and in any way (Ctrl-C, kill, power cut): what was there under
 the map's name stays, and the same command goes on where it was. Until the map is done, the tasks
@@ -109,8 +109,8 @@ pub(super) struct Args {
     /// 0.15 is quick, 0.06 careful, 0 exact [depth8: 0]
     #[arg(long, value_name = "ANGLE", verbatim_doc_comment)]
     opening_angle: Option<f64>,
-    /// Approximate: leave out pairs, as if they did not see each other, of
-    /// which neither leaf's form factor to the other, unhindered, reaches
+    /// Approximate: may leave out pairs, as if they did not see each other,
+    /// of which neither leaf's form factor to the other, unhindered, reaches
     /// this much (0 to 1) [depth8: 0]
     #[arg(long, value_name = "F", verbatim_doc_comment)]
     min_form_factor: Option<f64>,

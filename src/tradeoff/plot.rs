@@ -13,7 +13,9 @@ pub const START: &str = "<!-- pvmap tradeoff -->";
 const WIDTH: f64 = 960.0;
 const HEIGHT: f64 = 640.0;
 /// Around the axes: left, right, above, below.
-const MARGINS: [f64; 4] = [76.0, 28.0, 118.0, 72.0];
+const MARGINS: [f64; 4] = [76.0, 28.0, 96.0, 72.0];
+/// The height of a line below the axes.
+const LINE: f64 = 20.0;
 /// The height of a line of letters, and about the width of one letter.
 const LETTER: [f64; 2] = [14.0, 6.9];
 
@@ -32,12 +34,24 @@ pub fn draw(rows: &[Row], subject: &Subject, wish: Option<Wish>) -> String {
         subject.n_facing,
         subject.judge.words()
     );
-    let mut svg = format!("{START}\n{}{STYLE}", begin([WIDTH, HEIGHT], &title, &subtitle));
+    let (groups, below) = (groups(rows), below(rows, wish));
+    let lines = lines_of(groups.iter().map(|group| 34.0 + width_of(group)));
+    let n_lines = lines.last().map_or(0, |place| place.0 + 1) + below.len();
+    let height = HEIGHT + LINE * n_lines as f64;
+    let mut svg = format!("{START}\n{}{STYLE}", begin([WIDTH, height], &title, &subtitle));
     let spots = spots(rows);
     if !spots.is_empty() {
         panel(&mut svg, rows, &spots, subject.clock, wish);
     }
-    text(&mut svg, [28.0, HEIGHT - 14.0], "subtitle", "start", &escaped(&below(rows, wish)));
+    for (i, (group, (line, x))) in groups.iter().zip(&lines).enumerate() {
+        let at = [34.0 + x, HEIGHT + LINE * *line as f64];
+        mark(&mut svg, at, color_of(i), i, true);
+        text(&mut svg, [at[0] + 10.0, at[1] + 4.0], "", "start", group);
+    }
+    for (line, told) in below.iter().rev().enumerate() {
+        let at = [28.0, height - 14.0 - LINE * line as f64];
+        text(&mut svg, at, "subtitle", "start", &escaped(told));
+    }
     svg.push_str("</svg>\n");
     svg
 }
@@ -84,8 +98,32 @@ fn spots(rows: &[Row]) -> Vec<Spot<'_>> {
         .collect()
 }
 
-/// Says what was not built, and what is recommended.
-fn below(rows: &[Row], wish: Option<Wish>) -> String {
+/// Gives the color of a group; with its shape it is its own up to sixteen groups.
+fn color_of(group: usize) -> &'static str {
+    COLORS[(group + group / COLORS.len()) % COLORS.len()]
+}
+
+/// Gives about the width of letters.
+fn width_of(letters: &str) -> f64 {
+    LETTER[1] * letters.chars().count() as f64
+}
+
+/// Sets things of these widths one after the other: the line of each, and where it begins there.
+fn lines_of(widths: impl Iterator<Item = f64>) -> Vec<(usize, f64)> {
+    let mut next = (0, 0.0);
+    let place = |width: f64| {
+        if next.1 + width > WIDTH - 34.0 && next.1 > 0.0 {
+            next = (next.0 + 1, 0.0);
+        }
+        let here = next;
+        next.1 += width;
+        here
+    };
+    widths.map(place).collect()
+}
+
+/// Says what was not built, and what is recommended, in lines.
+fn below(rows: &[Row], wish: Option<Wish>) -> Vec<String> {
     let told = rows.iter().filter_map(|row| {
         let why = match &row.outcome {
             // The whole reason is long.
@@ -94,7 +132,17 @@ fn below(rows: &[Row], wish: Option<Wish>) -> String {
         };
         Some(format!("{}: {why}", row.setting.name))
     });
-    told.chain(wish.map(|wish| recommendation(rows, Some(wish)))).collect::<Vec<_>>().join("; ")
+    let told: Vec<String> = told.collect();
+    let places = lines_of(told.iter().map(|told| width_of(told) + 2.0 * LETTER[1]));
+    let mut lines: Vec<String> = Vec::new();
+    for (told, (line, _)) in told.into_iter().zip(places) {
+        match lines.get_mut(line) {
+            Some(before) => *before += &format!("; {told}"),
+            None => lines.push(told),
+        }
+    }
+    lines.extend(wish.map(|wish| recommendation(rows, Some(wish))));
+    lines
 }
 
 fn panel(svg: &mut String, rows: &[Row], spots: &[Spot<'_>], clock: Clock, wish: Option<Wish>) {
@@ -157,12 +205,12 @@ fn panel(svg: &mut String, rows: &[Row], spots: &[Spot<'_>], clock: Clock, wish:
             name(svg, spot.name, place(spot.built), bounds, &mut taken);
         }
     }
-    key(svg, rows, [left, above - 38.0]);
+    text(svg, [WIDTH - 28.0, above - 10.0], "subtitle", "end", "full: no setting beats it");
 }
 
 /// Draws a setting: its interval, its mark, and what is told where a pointer rests on it.
 fn one(svg: &mut String, spot: &Spot<'_>, at: [f64; 2], [low, high]: [f64; 2]) {
-    let color = COLORS[spot.group % COLORS.len()];
+    let color = color_of(spot.group);
     let built = spot.built;
     let _ = writeln!(
         svg,
@@ -239,16 +287,6 @@ fn name(
     }
     text(svg, [edge, at_y + 4.0], "", anchor, &escaped(name));
     taken.push(area);
-}
-
-/// Writes what the marks mean.
-fn key(svg: &mut String, rows: &[Row], mut at: [f64; 2]) {
-    for (i, group) in groups(rows).iter().enumerate() {
-        mark(svg, at, COLORS[i % COLORS.len()], i, true);
-        text(svg, [at[0] + 10.0, at[1] + 4.0], "", "start", group);
-        at[0] += 34.0 + LETTER[1] * group.chars().count() as f64;
-    }
-    text(svg, [WIDTH - 28.0, at[1] + 28.0], "subtitle", "end", "full: no setting beats it");
 }
 
 /// Writes a round number without needless zeros: 0.05, 2, 100.
