@@ -19,7 +19,7 @@ Presets:
   accurate  smaller surfels where points are spread: fewer wrong answers, for
             some 1.3 times the time
   quick     depth8, but what is far is seen coarsely: in a cave 5 times quicker
-            for 0.2 % more wrong answers
+            for 0.1 % more wrong answers
   preview   cells down to 1/64, some 200 points a surfel: a first look
   paper     as in the paper: a plain octree, with averaged normals at edges
 
