@@ -101,7 +101,7 @@ fn links_encode(bencher: Bencher) {
 fn links_decode(bencher: Bencher) {
     let frames = encode(&LINKS);
     let decoded = |(block, frame): &(LinkBlock, Vec<u8>)| {
-        links::decode(block, frame, 0).expect("just encoded").len()
+        links::decode("links", block, frame, 0).expect("just encoded").len()
     };
     bencher
         .counter(ItemsCount::new(LINKS.len()))

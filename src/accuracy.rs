@@ -10,6 +10,7 @@ use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
 use pvmap_vmap::bytes::FieldReader;
 use pvmap_vmap::octree::Placement;
+use pvmap_vmap::partial::SEGMENTS;
 use pvmap_vmap::schema::{Column, ColumnType};
 use pvmap_vmap::{FormatError, OctreeView};
 use rayon::prelude::*;
@@ -47,13 +48,21 @@ pub type Answer<'a> = Box<dyn FnMut(&Place, &Place) -> Result<Reply, Error> + 'a
 pub struct Reply {
     /// Whether they see each other.
     pub visible: bool,
+    /// How much of each other is seen, in sixteenths: all or nothing but for visible fractions.
+    pub n_free: u8,
     /// Whether one is so far from what answers for it that a question would be refused by default.
     pub is_far: bool,
 }
 
+impl Reply {
+    fn new(visible: bool, is_far: bool) -> Reply {
+        Reply { visible, n_free: if visible { SEGMENTS } else { 0 }, is_far }
+    }
+}
+
 impl From<bool> for Reply {
     fn from(visible: bool) -> Reply {
-        Reply { visible, is_far: false }
+        Reply::new(visible, false)
     }
 }
 
@@ -62,7 +71,7 @@ impl<'a> Way<'a> {
     pub fn leaves(map: &'a Map<'_>) -> Way<'a> {
         let answer = move |a: &Place, b: &Place| {
             let ((a, a_is_far), (b, b_is_far)) = (locate(map, a)?, locate(map, b)?);
-            Ok(Reply { visible: map.pair(&a, &b)?.visible, is_far: a_is_far || b_is_far })
+            Ok(Reply::new(map.pair(&a, &b)?.visible, a_is_far || b_is_far))
         };
         Way { name: "leaves", answer: Box::new(answer) }
     }
@@ -73,9 +82,20 @@ impl<'a> Way<'a> {
             let ((c, c_is_far), (d, d_is_far)) = (locate(map, a)?, locate(map, b)?);
             let (a, b) = (map.spot(a, c)?, map.spot(b, d)?);
             let visible = map.pair_by_segment(&a, &b)?.visible;
-            Ok(Reply { visible, is_far: c_is_far || d_is_far })
+            Ok(Reply::new(visible, c_is_far || d_is_far))
         };
         Way { name: "segments", answer: Box::new(answer) }
+    }
+
+    /// Answers by the visible fractions of a map: yes from half on. [F-24]
+    pub fn fractions(map: &'a Map<'_>) -> Way<'a> {
+        let answer = move |a: &Place, b: &Place| {
+            let ((a, a_is_far), (b, b_is_far)) = (locate(map, a)?, locate(map, b)?);
+            let n_free = map.pair_fraction(&a, &b)?.n_free;
+            let visible = 2 * n_free >= SEGMENTS;
+            Ok(Reply { visible, n_free, is_far: a_is_far || b_is_far })
+        };
+        Way { name: "fractions", answer: Box::new(answer) }
     }
 
     /// Answers by the points of an octree, those nearest to the places. [V-7]
@@ -143,6 +163,9 @@ pub struct Tally {
     pub n_false_invisible: u64,
     /// Those of both kinds that face each other.
     pub n_wrong_facing: u64,
+    /// The squares of the differences between how much it says is seen, in sixteenths, and all or
+    /// nothing, added up.
+    pub n_squares: u64,
     /// What all its answers took, one after the other.
     pub seconds: f64,
 }
@@ -158,8 +181,15 @@ impl Tally {
         self.n_facing - self.n_wrong_facing
     }
 
+    /// Gives the mean squared error of how much it says is seen, 0 to 1: of answers that are yes or
+    /// no the share that is wrong. Source: Brier 1950.
+    pub fn squared_error(&self) -> f64 {
+        let of_one = f64::from(SEGMENTS).powi(2);
+        self.n_squares as f64 / of_one / self.n_pairs.max(1) as f64
+    }
+
     pub(crate) fn count(&mut self, verdict: Verdict, reply: Option<Reply>) {
-        let Some(Reply { visible, is_far }) = reply else {
+        let Some(Reply { visible, n_free, is_far }) = reply else {
             self.n_refused += 1;
             return;
         };
@@ -169,6 +199,8 @@ impl Tally {
         self.n_said_visible += u64::from(visible);
         self.n_false_visible += u64::from(visible && !verdict.sees);
         self.n_false_invisible += u64::from(verdict.sees && !visible);
+        let in_truth = if verdict.sees { SEGMENTS } else { 0 };
+        self.n_squares += u64::from(n_free.abs_diff(in_truth)).pow(2);
         self.n_wrong_facing += u64::from(verdict.faces && verdict.sees != visible);
     }
 }
@@ -424,7 +456,7 @@ mod tests {
             n_asked += 1;
             match n_asked % 4 {
                 0 => Err(Error::Query(outside.clone())),
-                n => Ok(Reply { visible: false, is_far: n == 1 }),
+                n => Ok(Reply::new(false, n == 1)),
             }
         };
         let mut ways = [

@@ -115,6 +115,7 @@ pub fn build_with(
         spacing: config.spacing,
         interaction: config.interaction.clone(),
         approximation: config.approximation,
+        fractions: config.fractions,
         memory_bytes: limits.memory_bytes,
         checkpoint: checkpoints.every,
         restart: checkpoints.restart,

@@ -114,7 +114,9 @@ impl Error {
             Error::Octree(OctreeError::Columns { .. } | OctreeError::Lost { .. }) => 70,
             Error::Visibility(VisibilityError::Compress(_) | VisibilityError::Panicked(_)) => 70,
             Error::Visibility(VisibilityError::Stopped { .. }) => 130,
-            Error::Visibility(VisibilityError::Differs { .. }) => 78,
+            Error::Visibility(
+                VisibilityError::Differs { .. } | VisibilityError::ManyNodes { .. },
+            ) => 78,
             Error::Query(e) if e.kind() == pvmap_query::ErrorKind::Usage => 2,
             Error::Visibility(_) | Error::Query(_) | Error::Data(_) => 65,
             Error::Scene { source, .. } => of_scene(source),

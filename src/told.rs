@@ -12,7 +12,7 @@ use pvmap_vmap::OctreeView;
 /// # Errors
 /// Where the map is damaged or the run was asked to stop.
 pub fn sees_counts(map: &Map<'_>, watch: &dyn Watch) -> Result<Vec<u32>, QueryError> {
-    watch.stage("links", Some(map.view().n_link_blocks()), "frames");
+    watch.stage("links", Some(map.view().links().n_blocks()), "frames");
     map.sees_counts(&|| {
         watch.advance(1);
         !watch.is_stopped()

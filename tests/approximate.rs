@@ -24,7 +24,7 @@ fn octree_of(cloud: &Cloud, folder: &Path) -> std::path::PathBuf {
 }
 
 fn config_of(opening_angle: f64, min_form_factor: f64) -> BuildConfig {
-    let approximation = Approximation { opening_angle, min_form_factor };
+    let approximation = Approximation { opening_angle, min_form_factor, min_exchange: 0.0 };
     BuildConfig { max_level: 6, leaf_capacity: 6, approximation, ..BuildConfig::default() }
 }
 

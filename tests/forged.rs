@@ -16,7 +16,8 @@ use std::sync::LazyLock;
 use fastrand::Rng;
 use pvmap::geometry::disc::Profile;
 use pvmap::query::Map;
-use pvmap::vmap::links::put_varint;
+use pvmap::vmap::links::{LinkEncoder, put_varint};
+use pvmap::vmap::records::Record;
 use pvmap::vmap::tree::Nodes;
 use pvmap::vmap::{FormatError, Kind, MapView};
 use pvmap::{BuildConfig, Error};
@@ -123,6 +124,65 @@ fn f47_a_hostile_map_under_right_checksums_never_panics() {
     });
     let refused: u64 = refused.sum();
     assert!(refused > n / 2, "{refused} of {n} refused");
+}
+
+/// Writes pairs as sections of frames and their index.
+fn frames_of(pairs: &[(u32, u32)]) -> (Vec<u8>, Vec<u8>) {
+    let mut encoder = LinkEncoder::new().unwrap();
+    let mut frames: Vec<_> = pairs.iter().filter_map(|&p| encoder.push(p).unwrap()).collect();
+    frames.extend(encoder.finish().unwrap());
+    let index = frames.iter().flat_map(|(block, _)| block.to_bytes()).collect();
+    (frames.into_iter().flat_map(|(_, frame)| frame).collect(), index)
+}
+
+#[test]
+fn f24_fractions_that_no_map_has_are_refused() {
+    verify_map(&SOUND.map).unwrap();
+    let sound = Parts::of(&SOUND.map, Kind::Map);
+    let view = MapView::open(&SOUND.map).unwrap();
+    let found = view.partials().unwrap();
+    let pairs: Vec<(u32, u32)> = (0..found.n_blocks())
+        .flat_map(|i| found.lists(i).unwrap().iter().collect::<Vec<_>>())
+        .collect();
+    let with = |pairs: &[(u32, u32)]| {
+        let mut parts = sound.clone();
+        let (frames, index) = frames_of(pairs);
+        *parts.bytes_mut("partials") = frames;
+        *parts.bytes_mut("partidx") = index;
+        put(parts.bytes_mut("summary"), 56, pairs.len() as u64, 8);
+        parts
+    };
+    assert!(with(&pairs).seal() == SOUND.map, "the same fractions are the same map");
+    let refused = |parts: &Parts, what: &str| {
+        let error = verify_map(&parts.seal()).expect_err(what);
+        assert_eq!(exit_code(error), 65, "{what}");
+    };
+    let (a, numbers) = pairs[0];
+    let n_nodes = view.summary().n_nodes;
+    let leaf = (0..n_nodes).find(|&id| view.node(id).unwrap().is_leaf()).unwrap();
+    for (pair, what) in [
+        ((a, numbers / 32 * 32 + 17), "seventeen of sixteen"),
+        ((a, numbers / 32 * 32 + 31), "31 of sixteen"),
+        ((a, numbers ^ 1), "two fractions of a pair"),
+        ((a, n_nodes * 32), "a node of no tree"),
+        ((0, leaf * 32 + 8), "the root and a leaf"),
+    ] {
+        let mut more = pairs.clone();
+        more.push(pair);
+        more.sort_unstable();
+        more.dedup();
+        refused(&with(&more), what);
+    }
+    let mut parts = with(&pairs);
+    put(parts.bytes_mut("summary"), 56, pairs.len() as u64 + 1, 8);
+    refused(&parts, "one more than there are");
+    let mut parts = sound.clone();
+    let config = parts.bytes_mut("config");
+    *config = String::from_utf8(config.clone()).unwrap().replace("fractions = true\n", "").into();
+    refused(&parts, "fractions that the configuration does not name");
+    let mut parts = sound.clone();
+    parts.sections.retain(|(name, ..)| !name.starts_with("part"));
+    refused(&parts, "a configuration that names fractions where there are none");
 }
 
 #[test]
@@ -237,7 +297,7 @@ fn check_refused(hostile: &[u8], what: &str) {
     let error = verify_map(hostile).expect_err(what);
     assert_eq!(exit_code(error), 65, "{what}");
     let view = MapView::open(hostile).unwrap();
-    assert!(view.link_lists(0).is_err(), "{what}");
+    assert!(view.links().lists(0).is_err(), "{what}");
     check_answers(hostile, what);
 }
 

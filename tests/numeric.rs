@@ -69,7 +69,7 @@ fn map_of(bench: &Bench, flags: &str) -> (Vec<String>, Vec<(u32, u32)>) {
     bench.with_map("s.vmap", |view: &MapView<'_>| {
         let surfels = (0..view.summary().n_surfels).map(|id| view.surfel(id).unwrap());
         let surfels = surfels.map(|surfel| format!("{surfel:?}")).collect();
-        let lists = (0..view.n_link_blocks()).map(|i| view.link_lists(i).unwrap());
+        let lists = (0..view.links().n_blocks()).map(|i| view.links().lists(i).unwrap());
         let links = lists.flat_map(|lists| {
             let all = lists.lists().flat_map(|(a, to)| to.iter().map(move |&b| (a, b)));
             all.collect::<Vec<_>>()

@@ -10,8 +10,8 @@ use pvmap_octree::cut::{CutMemory, CutOptions, cut};
 use pvmap_store::Table;
 use pvmap_visibility::bounds::{self, Bounds};
 use pvmap_visibility::candidates::{self, Family};
-use pvmap_visibility::pairs;
 use pvmap_visibility::sheets::Sheets;
+use pvmap_visibility::{pairs, partials};
 
 const N_POINTS: u64 = 60_000;
 pub(crate) const PROFILE: Profile = Profile::Patch;
@@ -51,7 +51,7 @@ impl Room {
         let tree = cut(&view, &CUT, memory, &Quiet).expect("just written");
         let discs: Vec<Disc> =
             (0..tree.surfels.len() as u32).map(|s| tree.disc(s, PROFILE)).collect();
-        let bounds = bounds::of_tree(&tree, &discs, PROFILE, None).expect("in memory");
+        let bounds = bounds::of_tree(&tree, &discs, PROFILE, false, None).expect("in memory");
         let sheets = Sheets::default();
         let families = candidates::families(&tree, &bounds, &sheets, None).expect("in memory");
         Room { tree, discs, bounds, families, sheets }
@@ -60,6 +60,14 @@ impl Room {
     /// Gives it as deciders take it.
     pub(crate) fn scene(&self) -> pairs::Scene<'_> {
         let Room { tree, discs, bounds, families, sheets } = self;
-        pairs::Scene { tree, discs, bounds, families, sheets, profile: PROFILE }
+        pairs::Scene {
+            tree,
+            discs,
+            bounds,
+            families,
+            sheets,
+            profile: PROFILE,
+            tries: partials::Tries::default(),
+        }
     }
 }

@@ -27,7 +27,8 @@ the other place and no third triangle crosses the segment between them, whicheve
 triangle that holds an end, to within 1e-12 of the mesh's extent, hides nothing from that end.
 
 The map is asked twice: its leaves, as pvmap query MAP pair asks them, and the segments between
-the places, as with --segment there. With --exact the points of the octree are asked, too.
+the places, as with --segment there. A map with visible fractions answers by them, too: yes where
+half of the segments or more are free. With --exact the points of the octree are asked, too.
 
 Output, with 95 % intervals (Wilson); shares of all pairs, then of those that were answered:
   face each other      by the triangles' fronts, whatever is between
@@ -39,6 +40,8 @@ Output, with 95 % intervals (Wilson); shares of all pairs, then of those that we
   wrongly visible      the map says yes, the triangles no
   wrongly invisible    the map says no, the triangles yes
   visible, wrong       of the pairs that the map says see each other those that do not
+  squared error        the mean square of how much is said to be seen less what is in truth, 1 or
+                       0: for answers that are yes or no the share that is wrong
   refused              pairs without an answer: a place is outside the cube
   far                  pairs that a map answered although a place is so far from its surfel that
                        pvmap query MAP pair would ask for --snap
@@ -89,6 +92,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     watch.advance(truth.n_surfaces() as u64);
     watch.stage("accuracy", Some(args.pairs), "pairs");
     let mut ways = vec![Way::leaves(&map), Way::segments(&map)];
+    ways.extend(map.has_fractions().then(|| Way::fractions(&map)));
     if let (Some(points), Some(view)) = (&octree, &view) {
         let refuse = |e| points.named(&path, e);
         check_pair(map.view(), view).map_err(refuse)?;
@@ -175,6 +179,8 @@ fn print(args: &Args, found: &Comparison, n_triangles: usize) -> io::Result<()> 
     for (name, count) in ROWS {
         writeln!(out, "{name:<22}{}", columns(&|t| share(count(t))))?;
     }
+    let squared = |t: &Tally| format!("{:.3} %", 100.0 * t.squared_error());
+    writeln!(out, "{:<22}{}", "squared error", columns(&squared))?;
     writeln!(out, "{:<22}{}", "refused", columns(&|t| t.n_refused.to_string()))?;
     writeln!(out, "{:<22}{}", "far", columns(&|t| t.n_far.to_string()))?;
     writeln!(out, "{:<22}{}", "answers a second", columns(&|t| format!("{:.0}", found.rate(t))))
@@ -188,6 +194,7 @@ fn as_json(found: &Comparison, n_triangles: usize) -> Value {
             "refused": t.n_refused,
             "far": t.n_far,
             "answers_per_second": found.rate(t),
+            "squared_error": t.squared_error(),
         });
         for (name, count) in ROWS {
             let [k, n] = count(t);

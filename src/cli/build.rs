@@ -31,12 +31,14 @@ decided; flags override it. In brackets above stands what depth8 says, which has
   tree = \"binned\"
   profile = \"patch\"
   spacing = \"leaf\"
+  fractions = false
   threads = 0
   memory = \"1GiB\"
   [interaction]
   list = \"pairs.csv\"     columns node_a,node_b; instead of all siblings
   opening_angle = 0      0 decides all leaf pairs
   min_form_factor = 0
+  min_exchange = 0
 
 A build can be stopped at any time and in any way (Ctrl-C, kill, power cut): what was there under
 the map's name stays, and the same command goes on where it was. Until the map is done, the tasks
@@ -114,6 +116,16 @@ pub(super) struct Args {
     /// this much (0 to 1) [depth8: 0]
     #[arg(long, value_name = "F", verbatim_doc_comment)]
     min_form_factor: Option<f64>,
+    /// Approximate: do not open pairs of cells that exchange less than this
+    /// share of all light, were nothing between; 16 segments say how much
+    /// of each other they see (query … pair --fraction) [depth8: 0]
+    #[arg(long, value_name = "SHARE", verbatim_doc_comment)]
+    min_exchange: Option<f64>,
+    /// Try pairs of leaves half in shadow by 16 segments and keep how many
+    /// are free, for query … pair --fraction; what the map says of whole
+    /// leaves stays as it is
+    #[arg(long, verbatim_doc_comment)]
+    fractions: bool,
     /// Threads; 0 takes as many as the machine has [depth8: 0]
     #[arg(long, value_name = "N", value_parser = threads_parser())]
     threads: Option<usize>,
@@ -143,12 +155,14 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         tree: args.tree,
         profile: args.profile,
         spacing: args.spacing,
+        fractions: args.fractions.then_some(true),
         threads: args.threads,
         memory: args.memory.clone(),
         interaction: Some(RawInteraction {
             list: None,
             opening_angle: args.opening_angle,
             min_form_factor: args.min_form_factor,
+            min_exchange: args.min_exchange,
         }),
     };
     let raw = flags.over(RawConfig::find(&args.config)?);

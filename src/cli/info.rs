@@ -169,7 +169,8 @@ fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
     let n_pairs = n * n.saturating_sub(1) / 2;
     let fewer = fewer_links(s.n_links, s.n_surfels);
     let config = view.config()?.trim_end();
-    Ok(vec![
+    let partials = view.partials().map(|_| ("visible_fractions", one(s.n_partials)));
+    let before = vec![
         ("kind", one("map")),
         ("format", one(version(view.file().version()))),
         ("bytes", size(n_bytes)),
@@ -180,10 +181,13 @@ fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
         ("visible_pairs", one(s.n_visible_pairs as u64)),
         ("links", one(s.n_links)),
         ("fewer_links_percent", with_text(fewer, format!("{fewer:.2}"))),
+    ];
+    let behind = [
         ("config", with_text(config, config.replace('\n', ", "))),
         ("frame", frame(view.frame(), view.crs()?)),
         ("digest", one(format!("{:032x}", s.digest))),
-    ])
+    ];
+    Ok(before.into_iter().chain(partials).chain(behind).collect())
 }
 
 fn size(n_bytes: usize) -> Field {

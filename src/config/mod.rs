@@ -38,6 +38,8 @@ pub struct BuildConfig {
     pub profile: Profile,
     /// Where the half spacings of leaves come from.
     pub spacing: Spacing,
+    /// Whether leaf pairs half in shadow get visible fractions. [F-24]
+    pub fractions: bool,
     /// Pairs of node ids to start from instead of all siblings. [V-5]
     pub interaction: Option<Vec<(u32, u32)>>,
     /// What may be left out or seen coarsely; nothing in an exact map. [D-6]
@@ -53,6 +55,7 @@ impl Default for BuildConfig {
             tree: Shape::Binned,
             profile: Profile::Patch,
             spacing: Spacing::Leaf,
+            fractions: false,
             interaction: None,
             approximation: Approximation::default(),
         }
@@ -75,6 +78,8 @@ pub struct RawConfig {
     pub profile: Option<RawProfile>,
     /// `spacing`.
     pub spacing: Option<RawSpacing>,
+    /// `fractions`.
+    pub fractions: Option<bool>,
     /// `threads`, 0 for all.
     pub threads: Option<usize>,
     /// `memory`, such as "1GiB".
@@ -125,6 +130,8 @@ pub struct RawInteraction {
     pub opening_angle: Option<f64>,
     /// `min_form_factor`, 0 to 1.
     pub min_form_factor: Option<f64>,
+    /// `min_exchange`, 0 to 1.
+    pub min_exchange: Option<f64>,
 }
 
 impl RawInteraction {
@@ -134,6 +141,7 @@ impl RawInteraction {
             list: self.list.or(below.list),
             opening_angle: self.opening_angle.or(below.opening_angle),
             min_form_factor: self.min_form_factor.or(below.min_form_factor),
+            min_exchange: self.min_exchange.or(below.min_exchange),
         }
     }
 
@@ -146,6 +154,7 @@ impl RawInteraction {
         Ok(Approximation {
             opening_angle: share("opening_angle", self.opening_angle)?,
             min_form_factor: share("min_form_factor", self.min_form_factor)?,
+            min_exchange: share("min_exchange", self.min_exchange)?,
         })
     }
 }
@@ -192,6 +201,7 @@ impl RawConfig {
             tree: self.tree.or(below.tree),
             profile: self.profile.or(below.profile),
             spacing: self.spacing.or(below.spacing),
+            fractions: self.fractions.or(below.fractions),
             threads: self.threads.or(below.threads),
             memory: self.memory.or(below.memory),
             interaction: match (self.interaction, below.interaction) {
@@ -259,6 +269,7 @@ impl RawConfig {
                 Some(RawSpacing::Leaf) => Spacing::Leaf,
                 Some(RawSpacing::Neighbors) => Spacing::Neighbors,
             },
+            fractions: self.fractions.unwrap_or(defaults.fractions),
             approximation: interaction.approximation().map_err(Error::Config)?,
             interaction: match interaction.list {
                 None => None,

@@ -38,6 +38,8 @@ impl Setting {
             (interaction.is_some(), "given list"),
             (approximation.opening_angle > 0.0, "opening angle"),
             (approximation.min_form_factor > 0.0, "form factor"),
+            (approximation.min_exchange > 0.0, "exchange"),
+            (self.config.fractions, "fractions"),
             (self.by_segment, "segments"),
         ];
         let said: Vec<&str> =
@@ -90,6 +92,10 @@ pub struct Axes {
     pub opening_angle: Vec<f64>,
     /// Least form factors; 0 is exact.
     pub min_form_factor: Vec<f64>,
+    /// Least exchanges; 0 is exact.
+    pub min_exchange: Vec<f64>,
+    /// Visible fractions for leaf pairs half in shadow, or none.
+    pub fractions: Vec<bool>,
 }
 
 impl Axes {
@@ -110,6 +116,10 @@ impl Axes {
         found = each(found, &self.min_form_factor, |raw, &v| {
             raw.interaction.get_or_insert_default().min_form_factor = Some(v);
         });
+        found = each(found, &self.min_exchange, |raw, &v| {
+            raw.interaction.get_or_insert_default().min_exchange = Some(v);
+        });
+        found = each(found, &self.fractions, |raw, &v| raw.fractions = Some(v));
         found = each(found, &self.max_level, |raw, &v| raw.max_level = Some(v));
         found = each(found, &self.leaf_capacity, |raw, &v| raw.leaf_capacity = Some(v));
         each(found, &self.max_spread, |raw, &v| raw.max_spread = Some(v))
@@ -181,6 +191,8 @@ impl Sweep {
         let steps = [
             Axes { opening_angle: vec![0.06, 0.1, 0.15, 0.25], ..Axes::default() },
             Axes { min_form_factor: vec![1e-4], ..Axes::default() },
+            Axes { min_exchange: vec![1e-7], ..Axes::default() },
+            Axes { fractions: vec![true], ..Axes::default() },
             Axes { max_level: vec![5, 6, 7], ..Axes::default() },
             Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },
             Axes { max_spread: vec![3], ..Axes::default() },
@@ -248,10 +260,12 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
     let level = over.max_level.filter(|&v| v != plain.max_level);
     let capacity = over.leaf_capacity.filter(|&v| v != plain.leaf_capacity);
     let spread = over.max_spread.filter(|&v| v != plain.max_spread);
-    let RawInteraction { opening_angle, min_form_factor, .. } =
+    let RawInteraction { opening_angle, min_form_factor, min_exchange, .. } =
         over.interaction.clone().unwrap_or_default();
     let angle = opening_angle.filter(|&v| v != plain.approximation.opening_angle);
     let factor = min_form_factor.filter(|&v| v != plain.approximation.min_form_factor);
+    let exchange = min_exchange.filter(|&v| v != plain.approximation.min_exchange);
+    let fractions = over.fractions.filter(|&v| v != plain.fractions);
     [
         tree.map(|(word, _)| format!("tree {word}")),
         profile.map(|(word, _)| format!("profile {word}")),
@@ -261,6 +275,8 @@ fn differences(over: &RawConfig, plain: &BuildConfig) -> Vec<String> {
         spread.map(|v| format!("spread {v}")),
         angle.map(|v| format!("opening angle {v}")),
         factor.map(|v| format!("form factor {v}")),
+        exchange.map(|v| format!("exchange {v:e}")),
+        fractions.map(|v| if v { "fractions" } else { "no fractions" }.to_owned()),
     ]
     .into_iter()
     .flatten()
@@ -320,6 +336,8 @@ mod tests {
         assert!(differs(|c| (c.spacing == Spacing::Neighbors).into()));
         assert!(differs(|c| (c.approximation.opening_angle > 0.0).into()));
         assert!(differs(|c| (c.approximation.min_form_factor > 0.0).into()));
+        assert!(differs(|c| (c.approximation.min_exchange > 0.0).into()));
+        assert!(differs(|c| c.fractions.into()));
         let modes: Vec<String> = sweep.settings.iter().map(Setting::mode).collect();
         assert!(
             ["exact", "opening angle", "form factor"].iter().all(|m| modes.iter().any(|n| n == m))

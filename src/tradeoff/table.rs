@@ -7,12 +7,12 @@ use super::pareto::{Choice, Wish, choose, front};
 use super::{Built, Clock, Judge, Outcome, Row, Share, Subject};
 
 /// The names of the columns of the CSV.
-pub const CSV_HEADER: &str = "setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,\
-opening_angle,min_form_factor,outcome,build_seconds,visibility_seconds,cpu_seconds,\
-peak_rss_anon_bytes,leaves,links,map_bytes,query_seconds,judge,facing_pairs,\
-wrongly_visible,wrongly_visible_low,wrongly_visible_high,\
-wrongly_invisible,wrongly_invisible_low,wrongly_invisible_high,error,error_low,error_high,\
-on_front";
+pub const CSV_HEADER: &str = "\
+setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,opening_angle,\
+min_form_factor,min_exchange,fractions,outcome,build_seconds,visibility_seconds,cpu_seconds,\
+peak_rss_anon_bytes,leaves,links,map_bytes,query_seconds,judge,facing_pairs,wrongly_visible,\
+wrongly_visible_low,wrongly_visible_high,wrongly_invisible,wrongly_invisible_low,\
+wrongly_invisible_high,error,error_low,error_high,squared_error,on_front";
 
 /// Writes the rows as CSV: shares 0…1 with the ends of their 95 % intervals, seconds, bytes. What
 /// was not built has empty cells.
@@ -46,6 +46,8 @@ pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String>
         setting.config.max_spread.to_string(),
         setting.config.approximation.opening_angle.to_string(),
         setting.config.approximation.min_form_factor.to_string(),
+        setting.config.approximation.min_exchange.to_string(),
+        setting.config.fractions.to_string(),
         outcome_word(&row.outcome).to_owned(),
     ];
     match row.built() {
@@ -57,7 +59,7 @@ pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String>
 }
 
 /// Cells between the outcome and the last.
-const N_BUILT_CELLS: usize = 19;
+const N_BUILT_CELLS: usize = 20;
 
 fn cells_of(built: &Built, judge: Judge) -> Vec<String> {
     let mut cells = vec![
@@ -76,6 +78,7 @@ fn cells_of(built: &Built, judge: Judge) -> Vec<String> {
         let [low, high] = share.interval();
         cells.extend([share.value(), low, high].map(|v| format!("{v:.7}")));
     }
+    cells.push(format!("{:.7}", built.tally.squared_error()));
     cells
 }
 

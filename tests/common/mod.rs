@@ -223,7 +223,7 @@ pub fn build_with(octree: &Path, config: &BuildConfig, limits: &Limits) -> Vec<u
 pub fn contents(view: &MapView<'_>) -> (Vec<Node>, Vec<Surfel>, Vec<(u32, u32)>) {
     let nodes = (0..view.n_nodes()).map(|id| view.node(id).unwrap()).collect();
     let surfels = (0..view.summary().n_surfels).map(|id| view.surfel(id).unwrap()).collect();
-    let lists = (0..view.n_link_blocks()).map(|i| view.link_lists(i).unwrap());
+    let lists = (0..view.links().n_blocks()).map(|i| view.links().lists(i).unwrap());
     let links = lists.flat_map(|l| l.iter().collect::<Vec<_>>()).collect();
     (nodes, surfels, links)
 }

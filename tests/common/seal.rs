@@ -2,8 +2,9 @@
 //! would do it. Sections 2 of FORMAT.md.
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 
-use pvmap::vmap::container::{BLOCK_BYTES, Written, align, close, head_bytes};
-use pvmap::vmap::map::RECTS_SECTION;
+use pvmap::geometry::disc::Profile;
+use pvmap::vmap::container::{BLOCK_BYTES, Section, Written, align, close, head_bytes};
+use pvmap::vmap::map::section_names;
 use pvmap::vmap::{Container, Kind};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -23,12 +24,13 @@ impl Parts {
     pub fn of(bytes: &[u8], kind: Kind) -> Parts {
         let file = Container::open(bytes, kind).unwrap();
         let names = match kind {
-            Kind::Map => [pvmap::vmap::map::SECTIONS.as_slice(), &[RECTS_SECTION]].concat(),
+            Kind::Map => section_names(Profile::Oriented, true),
             Kind::Octree => pvmap::vmap::octree::SECTIONS.to_vec(),
         };
-        let rows = file.sections().iter().filter(|s| s.name != "sums").zip(names);
+        let known = |s: &Section| names.iter().copied().find(|&name| name == s.name);
+        let rows = file.sections().iter().filter_map(|s| Some((known(s)?, s)));
         let sections = rows
-            .map(|(s, name)| (name, s.record_bytes, file.read_all(s).unwrap().to_vec()))
+            .map(|(name, s)| (name, s.record_bytes, file.read_all(s).unwrap().to_vec()))
             .collect();
         Parts { kind, sections }
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use fastrand::Rng;
-use pvmap::query::{Located, Map, PairAnswer, Place, QueryError, Snap};
+use pvmap::query::{FractionAnswer, Located, Map, PairAnswer, Place, QueryError, Snap};
 use pvmap::vmap::frame::FrameRecord;
 use pvmap::vmap::links::LinkLists;
 use pvmap::vmap::tree::{Nodes, RoutingKey};
@@ -18,7 +18,7 @@ use crate::common::{LIMITS, build_with, ingest_with, room_cloud};
 /// Bytes under one checksum.
 pub const BLOCK: usize = 65_536;
 /// Sections of each artifact, `sums` among them.
-pub const N_MAP_SECTIONS: usize = 9;
+pub const N_MAP_SECTIONS: usize = 11;
 pub const N_OCTREE_SECTIONS: usize = 10;
 
 /// A sound octree and a sound map of it, each at most 64 KiB.
@@ -37,7 +37,7 @@ pub static SOUND: LazyLock<Sound> = LazyLock::new(|| {
 });
 
 pub fn small_config() -> BuildConfig {
-    BuildConfig { max_level: 5, leaf_capacity: 8, ..BuildConfig::default() }
+    BuildConfig { max_level: 5, leaf_capacity: 8, fractions: true, ..BuildConfig::default() }
 }
 
 /// Makes an octree of the furnished room and a map.
@@ -59,6 +59,7 @@ pub enum Answer {
     Links(LinkLists),
     Place(Result<Located, String>),
     Pair(PairAnswer),
+    Fraction(FractionAnswer),
 }
 
 /// What a map answers to all that the small sound map can be asked, in one order; only an error
@@ -74,7 +75,9 @@ pub fn ask(bytes: &[u8]) -> Vec<Result<Answer, QueryError>> {
     answers.push(view.crs().map(|crs| Answer::Text(format!("{crs:?}"))).map_err(Into::into));
     answers.extend((0..view.n_nodes()).map(|id| Ok(Answer::Node(view.node(id)?))));
     answers.extend((0..view.summary().n_surfels).map(|id| Ok(Answer::Surfel(view.surfel(id)?))));
-    answers.extend((0..view.n_link_blocks()).map(|i| Ok(Answer::Links(view.link_lists(i)?))));
+    for pairs in [Some(view.links()), view.partials()].into_iter().flatten() {
+        answers.extend((0..pairs.n_blocks()).map(|i| Ok(Answer::Links(pairs.lists(i)?))));
+    }
     let located: Vec<_> = places().map(|p| map.locate(&p, Snap::Within(1.0))).collect();
     answers.extend(located.iter().cloned().map(|found| match found {
         Err(QueryError::Format(e)) => Err(e.into()),
@@ -84,6 +87,7 @@ pub fn ask(bytes: &[u8]) -> Vec<Result<Answer, QueryError>> {
         for b in &located[i..] {
             let (Ok(a), Ok(b)) = (a, b) else { continue };
             answers.push(map.pair(a, b).map(Answer::Pair));
+            answers.push(map.pair_fraction(a, b).map(Answer::Fraction));
         }
     }
     answers

@@ -40,9 +40,9 @@ impl Adjacency {
             (0..n_nodes).into_par_iter().map(|id| view.parent(id)).collect::<Result<_, _>>()?;
         let mut starts = vec![0; n_nodes as usize + 1];
         let mut partners = Vec::with_capacity(n_links as usize);
-        let frames: Vec<u64> = (0..view.n_link_blocks()).collect();
+        let frames: Vec<u64> = (0..view.links().n_blocks()).collect();
         for some in frames.chunks(N_AT_ONCE) {
-            let decoded: Vec<_> = some.par_iter().map(|&i| view.link_lists(i)).collect();
+            let decoded: Vec<_> = some.par_iter().map(|&i| view.links().lists(i)).collect();
             for lists in decoded {
                 for (a, list) in lists?.lists() {
                     // A list may go on in the next frame: then this is its end so far.

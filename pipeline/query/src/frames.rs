@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pvmap_vmap::links::LinkLists;
-use pvmap_vmap::{FormatError, MapView};
+use pvmap_vmap::{FormatError, MapView, Pairs};
 
 use crate::adjacency::Adjacency;
 use crate::map::Map;
@@ -54,15 +54,15 @@ impl LinkFrames {
     }
 
     /// Gives a frame, decoding it unless it is still here.
-    fn get(&self, view: &MapView<'_>, index: u64) -> Result<Arc<LinkFrame>, FormatError> {
+    fn get(&self, pairs: Pairs<'_, '_>, index: u64) -> Result<Arc<LinkFrame>, FormatError> {
         let slot = &self.slots[(index % self.slots.len() as u64) as usize];
         let kept = || slot.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(frame) = kept().as_ref().filter(|frame| frame.index == index) {
             return Ok(Arc::clone(frame));
         }
         // Decoded outside the lock: others may use the slot meanwhile, at worst twice the work.
-        let block = view.link_block(index)?;
-        let lists = view.link_lists(index)?;
+        let block = pairs.block(index)?;
+        let lists = pairs.lists(index)?;
         self.n_decoded.fetch_add(1, Ordering::Relaxed);
         let frame = Arc::new(LinkFrame { index, first: block.first, last: block.last, lists });
         *kept() = Some(Arc::clone(&frame));
@@ -70,10 +70,11 @@ impl LinkFrames {
     }
 }
 
-/// Looks links up, best in rising order: the frame of one is often that of the next.
+/// Looks links up, or pairs with visible fractions, best in rising order: the frame of one is often that of the next.
 #[derive(Debug)]
 pub(crate) struct Lookup<'m, 'a> {
     view: &'m MapView<'a>,
+    pairs: Pairs<'m, 'a>,
     frames: &'m LinkFrames,
     /// All links, where they are in memory.
     all: Option<&'m Adjacency>,
@@ -84,7 +85,14 @@ impl<'m, 'a> Lookup<'m, 'a> {
     pub(crate) fn new(map: &'m Map<'a>) -> Lookup<'m, 'a> {
         let (view, frames, all) =
             (map.view(), &map.frames, map.kept().and_then(|kept| kept.adjacency.as_ref()));
-        Lookup { view, frames, all, frame: None }
+        Lookup { view, pairs: view.links(), frames, all, frame: None }
+    }
+
+    /// Looks up pairs as [`Partial`](pvmap_vmap::Partial) reads them; none where the map has no
+    /// visible fractions.
+    pub(crate) fn of_partials(map: &'m Map<'a>) -> Option<Lookup<'m, 'a>> {
+        let (view, frames) = (map.view(), &map.partial_frames);
+        view.partials().map(|pairs| Lookup { view, pairs, frames, all: None, frame: None })
     }
 
     /// Gives the parent of a node.
@@ -102,11 +110,11 @@ impl<'m, 'a> Lookup<'m, 'a> {
             return Ok(all.contains((a, b)));
         }
         if !self.is_at((a, b)) {
-            let index = self.view.link_block_from(a, b)?;
-            if index == self.view.n_link_blocks() || self.view.first_link(index)? > (a, b) {
+            let index = self.pairs.block_from(a, b)?;
+            if index == self.pairs.n_blocks() || self.pairs.first(index)? > (a, b) {
                 return Ok(false);
             }
-            self.frame = Some(self.frames.get(self.view, index)?);
+            self.frame = Some(self.frames.get(self.pairs, index)?);
         }
         Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
     }
@@ -119,16 +127,16 @@ impl<'m, 'a> Lookup<'m, 'a> {
             return Ok(least(all.partners_of(a)));
         }
         if !self.is_at((a, from)) {
-            let index = self.view.link_block_from(a, from)?;
-            if index == self.view.n_link_blocks() {
+            let index = self.pairs.block_from(a, from)?;
+            if index == self.pairs.n_blocks() {
                 return Ok(None);
             }
-            let first = self.view.first_link(index)?;
+            let first = self.pairs.first(index)?;
             if first >= (a, from) {
                 // The index says it all.
                 return Ok((first.0 == a).then_some(first.1));
             }
-            self.frame = Some(self.frames.get(self.view, index)?);
+            self.frame = Some(self.frames.get(self.pairs, index)?);
         }
         Ok(self.frame.as_ref().and_then(|f| least(f.lists.partners_of(a))))
     }

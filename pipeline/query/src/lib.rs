@@ -4,7 +4,8 @@
 //! the surfel that stands there ([V-8]); [`Map::pair`] says whether two located places see each
 //! other, and which link settles it ([V-6]); [`Map::pairs`] does so for many, far faster in a large
 //! map. [`Map::pair_by_segment`] asks the segment between the places themselves, which is right
-//! more often and takes longer. [`Map::visible_from`] gives all that a place sees as a
+//! more often and takes longer; [`Map::pair_fraction`] gives how much two leaves see of each other.
+//! [`Map::visible_from`] gives all that a place sees as a
 //! [`SurfelSet`], [`Map::visible_from_air`] what a scanner there would see, [`Map::sees_counts`]
 //! how much every surfel sees. [`Map::region`] weighs the points around two places against each
 //! other, [`Map::ray`] finds what a ray hits first, [`Map::shadow`] how much of a light reaches a
@@ -24,6 +25,7 @@ mod discs;
 mod error;
 pub mod exact;
 mod filter;
+mod fraction;
 mod frames;
 mod kept;
 mod leaves;
@@ -42,6 +44,7 @@ mod visible_from;
 
 pub use by_segment::{SegmentAnswer, SettledBy, Spot};
 pub use error::{ErrorKind, QueryError};
+pub use fraction::FractionAnswer;
 pub use locate::{Located, Place, Snap};
 pub use map::Map;
 pub use pair::{Link, PairAnswer};

@@ -28,6 +28,7 @@ pub struct Map<'a> {
     is_slanted: bool,
     is_coarse: bool,
     pub(crate) frames: LinkFrames,
+    pub(crate) partial_frames: LinkFrames,
     pub(crate) kept: OnceLock<Kept>,
     pub(crate) discs: OnceLock<Discs>,
 }
@@ -42,10 +43,17 @@ impl<'a> Map<'a> {
         let config = view.config()?;
         let profile = view.profile()?;
         let has_key = |key| config.lines().any(|line| line.split(" = ").next() == Some(key));
-        let is_coarse = has_key("opening_angle");
-        let is_slanted = is_coarse || has_key("interaction_pairs");
-        let (frames, kept, discs) = (LinkFrames::default(), OnceLock::new(), OnceLock::new());
-        Ok(Map { view, profile, is_slanted, is_coarse, frames, kept, discs })
+        let is_slanted = has_key("opening_angle") || has_key("interaction_pairs");
+        Ok(Map {
+            view,
+            profile,
+            is_slanted,
+            is_coarse: has_key("opening_angle") || has_key("min_exchange"),
+            frames: LinkFrames::default(),
+            partial_frames: LinkFrames::default(),
+            kept: OnceLock::new(),
+            discs: OnceLock::new(),
+        })
     }
 
     /// Does what [`Map::open`] does, for a map that keeps decoded links in so many bytes at the
@@ -54,7 +62,8 @@ impl<'a> Map<'a> {
     /// # Errors
     /// Those of [`Map::open`].
     pub fn open_within(bytes: &'a [u8], cache_bytes: u64) -> Result<Map<'a>, QueryError> {
-        Ok(Map { frames: LinkFrames::within(cache_bytes), ..Map::open(bytes)? })
+        let (frames, partial_frames) = (LinkFrames::within(cache_bytes), LinkFrames::within(0));
+        Ok(Map { frames, partial_frames, ..Map::open(bytes)? })
     }
 
     /// Gives the file behind the answers.

@@ -74,7 +74,7 @@ impl Map<'_> {
     }
 
     /// Lists the links that can cover two leaves, in either order.
-    fn links_over(
+    pub(crate) fn links_over(
         &self,
         lookup: &Lookup<'_, '_>,
         a: &Located,

@@ -47,8 +47,12 @@ impl Map<'_> {
             add(from, n_far);
             Ok(())
         };
-        (0..self.view().n_link_blocks()).into_par_iter().try_for_each(|i| {
-            self.view().link_lists(i)?.lists().try_for_each(|(a, partners)| list(a, partners))?;
+        (0..self.view().links().n_blocks()).into_par_iter().try_for_each(|i| {
+            self.view()
+                .links()
+                .lists(i)?
+                .lists()
+                .try_for_each(|(a, partners)| list(a, partners))?;
             if goes_on() { Ok(()) } else { Err(QueryError::Stopped) }
         })?;
         let mut sum = 0u32;

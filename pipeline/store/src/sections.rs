@@ -240,11 +240,22 @@ impl SectionWriter<'_> {
     /// # Errors
     /// Where the disk fails.
     pub fn finish(mut self) -> Result<Section, StoreError> {
+        self.start_next()
+    }
+
+    /// Ends the section and starts the next.
+    ///
+    /// # Errors
+    /// Where the disk fails.
+    pub fn start_next(&mut self) -> Result<Section, StoreError> {
         if !self.block.is_empty() {
             self.flush_block()?;
         }
-        self.file.end_bytes = self.offset_bytes + self.len_bytes;
-        Ok(Section { offset_bytes: self.offset_bytes, len_bytes: self.len_bytes, sums: self.sums })
+        let (offset_bytes, len_bytes) = (self.offset_bytes, self.len_bytes);
+        self.file.end_bytes = offset_bytes + len_bytes;
+        self.offset_bytes = self.file.end_bytes.next_multiple_of(ALIGN_BYTES);
+        self.len_bytes = 0;
+        Ok(Section { offset_bytes, len_bytes, sums: std::mem::take(&mut self.sums) })
     }
 
     fn flush_block(&mut self) -> Result<(), StoreError> {

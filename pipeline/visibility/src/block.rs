@@ -4,19 +4,23 @@
 
 use std::ops::Range;
 
-use pvmap_geometry::Box3;
+use pvmap_geometry::{Box3, disc};
 use pvmap_store::runs::Pair;
-use pvmap_vmap::Tree;
+use pvmap_vmap::partial::SEGMENTS;
+use pvmap_vmap::{Partial, Tree};
 
 use crate::candidates::{self, Corridor, Depth, Kept, refine};
 use crate::ends::Ends;
 use crate::kernel::{Blockers, Counts, Recent};
 use crate::packets::{Packet, Shot, WIDTH, pack};
 use crate::pairs::{Scene, Status};
+use crate::partials::{self, N_ENDS};
 use crate::screen::Screen;
 
 /// Entries of a list of candidates that are opened to leaves before it is seen what is still open.
 const PIECE: usize = 16;
+/// Children of a node at most.
+const MAX_KIDS: usize = 8;
 /// Discs of late memory pay where they block at least one in so many segments.
 const LEAST_SHARE: u64 = 4;
 
@@ -44,6 +48,10 @@ pub struct BlockDecider<'a> {
     undecided: Vec<Kept>,
     /// The sheet that blocked the most lately.
     last_sheet: u32,
+    /// The PARTIAL pairs of the block.
+    mixed: Vec<Pair>,
+    /// Whether the segments at hand end off the centroids of their surfels.
+    is_tried: bool,
     /// What it took so far.
     pub counts: Counts,
 }
@@ -65,6 +73,8 @@ impl<'a> BlockDecider<'a> {
             sheets: Vec::new(),
             undecided: Vec::new(),
             last_sheet: u32::MAX,
+            mixed: Vec::new(),
+            is_tried: false,
             counts: Counts::default(),
         }
     }
@@ -78,6 +88,8 @@ impl<'a> BlockDecider<'a> {
         links: &mut Vec<Pair>,
     ) -> Status {
         self.load(a, b);
+        self.mixed.clear();
+        let whole = list.clone();
         let mut is_open = self.is_open();
         if is_open && self.recent_pays {
             self.try_recent();
@@ -96,8 +108,129 @@ impl<'a> BlockDecider<'a> {
             candidates.truncate(start);
             is_open = self.is_open();
         }
-        let first = [a, b].map(|id| self.scene.tree.nodes[id as usize].first_surfel);
-        Block { tree: self.scene.tree, first, open: &self.open }.fold(a, b, links)
+        let tree = self.scene.tree;
+        let first = [a, b].map(|id| tree.nodes[id as usize].first_surfel);
+        let block = Block { tree, first, open: &self.open };
+        let status = block.fold(a, b, &mut self.mixed, links);
+        if self.scene.tries.fractions {
+            if tree.nodes[a as usize].is_leaf() && tree.nodes[b as usize].is_leaf() {
+                self.mixed.push((a, b));
+            }
+            self.try_mixed((a, b), candidates, whole, links);
+        }
+        status
+    }
+
+    /// Tries a node pair by some of its leaves: gives how many of sixteen segments are free, given
+    /// a list that holds all their blockers. [F-26]
+    pub fn try_nodes(
+        &mut self,
+        (a, b): Pair,
+        candidates: &mut Vec<Kept>,
+        list: Range<usize>,
+    ) -> u8 {
+        let Scene { tree, discs, profile, .. } = self.scene;
+        for (side, id) in self.sides.iter_mut().zip([a, b]) {
+            let ends = partials::representatives(tree, id).into_iter();
+            let ends = ends.map(|surfel| (surfel, discs[surfel as usize].centroid));
+            side.load_at(discs, ends, profile);
+        }
+        self.faces();
+        self.shoot_all(candidates, list);
+        n_bits(&self.open) as u8
+    }
+
+    /// Tries the leaf pairs of kids(A)×kids(B) for each (A, B) that is mixed, and notes what is not
+    /// as the open segments of the block say. [F-25], [F-26]
+    fn try_mixed(
+        &mut self,
+        block: Pair,
+        candidates: &mut Vec<Kept>,
+        list: Range<usize>,
+        links: &mut Vec<Pair>,
+    ) {
+        if self.mixed.is_empty() {
+            return;
+        }
+        let Scene { tree, discs, bounds, families, profile, .. } = self.scene;
+        let by_centroids = std::mem::take(&mut self.open);
+        let mixed = std::mem::take(&mut self.mixed);
+        let sides = [block.0, block.1];
+        let first = sides.map(|id| tree.nodes[id as usize].first_surfel);
+        let ends = sides.map(|id| bounds[id as usize].centroids);
+        let start = candidates.len();
+        let corridor = Corridor::new(&ends[0], &ends[1]);
+        self.counts.n_candidates += refine(families, &corridor, Depth::Leaves, candidates, list);
+        let list = start..candidates.len();
+        for &(a, b) in &mixed {
+            let mut surfels = [[0; MAX_KIDS]; 2];
+            let mut n = [0; 2];
+            for (i, id) in [a, b].into_iter().enumerate() {
+                let kids = tree.kids(id).map(|kid| &tree.nodes[kid as usize]);
+                for kid in kids.filter(|kid| kid.is_leaf()) {
+                    surfels[i][n[i]] = kid.first_surfel;
+                    n[i] += 1;
+                }
+            }
+            if n.contains(&0) {
+                continue;
+            }
+            for i in 0..2 {
+                let places = surfels[i][..n[i]].iter().flat_map(|&surfel| {
+                    partials::places(&tree.surfels[surfel as usize]).map(|place| (surfel, place))
+                });
+                self.sides[i].load_at(discs, places, profile);
+            }
+            let [rows, columns] = [&surfels[0][..n[0]], &surfels[1][..n[1]]];
+            self.faces();
+            for (i, &x) in rows.iter().enumerate() {
+                let away = columns
+                    .iter()
+                    .enumerate()
+                    .filter(|&(_, &y)| !disc::faces_both(&discs[x as usize], &discs[y as usize]));
+                let closed = away.fold(0, |closed, (j, _)| closed | lanes_of(j));
+                self.open[N_ENDS * i..][..N_ENDS].iter_mut().for_each(|open| *open &= !closed);
+            }
+            self.shoot_all(candidates, list.clone());
+            for (i, &x) in rows.iter().enumerate() {
+                for (j, &y) in columns.iter().enumerate() {
+                    let lanes = &self.open[N_ENDS * i..][..N_ENDS];
+                    let of_pair = lanes.iter().map(|open| (open & lanes_of(j)).count_ones());
+                    let n_free = of_pair.sum::<u32>() as u8;
+                    let is_visible = by_centroids[(x - first[0]) as usize] >> (y - first[1]) & 1;
+                    if n_free != SEGMENTS * is_visible as u8 {
+                        let [x, y] = [x, y].map(|surfel| tree.surfels[surfel as usize].node);
+                        let partial = Partial { a: x.min(y), b: x.max(y), n_free };
+                        links.push(partials::marked(partial));
+                    }
+                }
+            }
+        }
+        candidates.truncate(start);
+        (self.open, self.mixed) = (by_centroids, mixed);
+    }
+
+    /// Opens the segments of the sides whose ends face each other.
+    fn faces(&mut self) {
+        let [rows, columns] = &self.sides;
+        rows.faces(columns, &mut self.open);
+        self.is_packed = false;
+        self.counts.n_segments += n_bits(&self.open);
+    }
+
+    /// Closes the open segments that are blocked, of ends that are tried, by the leaves of a list.
+    fn shoot_all(&mut self, candidates: &mut Vec<Kept>, list: Range<usize>) {
+        let mut rest = list;
+        while self.is_open() && !rest.is_empty() {
+            let piece = rest.start..rest.end.min(rest.start + PIECE);
+            rest.start = piece.end;
+            let start = candidates.len();
+            self.refine(Depth::Leaves, candidates, piece);
+            self.is_tried = true;
+            self.try_leaves(&candidates[start..]);
+            self.is_tried = false;
+            candidates.truncate(start);
+        }
     }
 
     fn is_open(&self) -> bool {
@@ -111,11 +244,7 @@ impl<'a> BlockDecider<'a> {
             let node = &tree.nodes[id as usize];
             side.load(discs, node.first_surfel..node.end_surfel, profile);
         }
-        let [rows, columns] = &self.sides;
-        rows.faces(columns, &mut self.open);
-        self.is_packed = false;
-        self.counts.n_segments +=
-            self.open.iter().map(|open| u64::from(open.count_ones())).sum::<u64>();
+        self.faces();
     }
 
     /// Appends to a list what of a part of it may block an open segment.
@@ -223,7 +352,8 @@ impl<'a> BlockDecider<'a> {
         let Scene { discs, profile, .. } = self.scene;
         let n_open = n_bits(&self.open);
         self.pack(n_open);
-        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        let block = [&*self.sides[0], &*self.sides[1]];
+        let shot = Shot { discs, profile, block, is_tried: self.is_tried };
         for packet in &mut self.packets {
             self.recent.blockers().shoot(&shot, packet, &mut self.counts);
         }
@@ -254,13 +384,19 @@ impl<'a> BlockDecider<'a> {
         let Scene { discs, families, profile, .. } = self.scene;
         self.blockers.load(discs, candidates::blockers_of(families, list));
         self.counts.n_loaded += self.blockers.len() as u64;
-        let shot = Shot { discs, profile, block: [&self.sides[0], &self.sides[1]] };
+        let block = [&*self.sides[0], &*self.sides[1]];
+        let shot = Shot { discs, profile, block, is_tried: self.is_tried };
         for packet in &mut self.packets {
             if let Some(best) = self.blockers.shoot(&shot, packet, &mut self.counts) {
                 self.recent.remember(&self.blockers, best);
             }
         }
     }
+}
+
+/// Gives the lanes of the ends of leaf `j` of a side that is tried, a bit each.
+fn lanes_of(j: usize) -> u64 {
+    ((1 << N_ENDS) - 1) << (N_ENDS * j)
 }
 
 fn n_bits(rows: &[u64]) -> u64 {
@@ -278,7 +414,8 @@ struct Block<'a> {
 
 impl Block<'_> {
     /// Makes statuses and links of the leaf pairs under a pair of nodes of the block.
-    fn fold(&self, a: u32, b: u32, links: &mut Vec<Pair>) -> Status {
+    /// Those that are PARTIAL go to `mixed`.
+    fn fold(&self, a: u32, b: u32, mixed: &mut Vec<Pair>, links: &mut Vec<Pair>) -> Status {
         let [rows, columns] = [(a, self.first[0]), (b, self.first[1])].map(|(id, first)| {
             let node = &self.tree.nodes[id as usize];
             (node.first_surfel - first) as usize..(node.end_surfel - first) as usize
@@ -291,9 +428,10 @@ impl Block<'_> {
         if rows.iter().all(|open| open & mask == mask) {
             return Status::Visible;
         }
+        mixed.push((a, b));
         for x in self.tree.kids(a) {
             for y in self.tree.kids(b) {
-                if self.fold(x, y, links) == Status::Visible {
+                if self.fold(x, y, mixed, links) == Status::Visible {
                     links.push((x.min(y), x.max(y)));
                 }
             }

@@ -11,10 +11,12 @@ use pvmap_store::{StoreError, Table};
 use pvmap_vmap::Tree;
 use rayon::prelude::*;
 
+use crate::partials;
+
 /// Bounds of the surfels of a subtree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bounds {
-    /// Of the centroids.
+    /// Of the centroids, and of the other places at which segments may end.
     pub centroids: Box3,
     /// Of every place at which a surfel can block; empty if none can.
     pub blockers: Box3,
@@ -167,7 +169,8 @@ pub fn facing(a: &Bounds, b: &Bounds) -> Facing {
     }
 }
 
-/// Bounds every node of a tree, in node order; in a file of `folder` where one is given.
+/// Bounds every node of a tree, in node order; in a file of `folder` where one is given. With
+/// `are_tried` segments may end at the places of [F-25], too.
 ///
 /// # Errors
 /// Those of [`Table::new`].
@@ -175,11 +178,19 @@ pub fn of_tree(
     tree: &Tree,
     discs: &[Disc],
     profile: Profile,
+    are_tried: bool,
     folder: Option<&Path>,
 ) -> Result<Table<Bounds>, StoreError> {
     let mut bounds = Table::new(tree.nodes.len(), Bounds::NOTHING, folder)?;
     let leaves = bounds.par_iter_mut().zip(&tree.nodes).filter(|(_, node)| node.is_leaf());
-    leaves.for_each(|(leaf, node)| *leaf = of_leaf(&discs[node.first_surfel as usize], profile));
+    leaves.for_each(|(leaf, node)| {
+        let id = node.first_surfel as usize;
+        *leaf = of_leaf(&discs[id], profile);
+        if are_tried {
+            let places = partials::places(&tree.surfels[id]).map(Box3::at);
+            leaf.centroids = places.iter().fold(leaf.centroids, |all, place| all.join(place));
+        }
+    });
     // Preorder backwards: children come before their parent.
     for id in (1..tree.nodes.len()).rev() {
         let parent = tree.nodes[id].parent as usize;

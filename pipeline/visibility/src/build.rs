@@ -13,17 +13,20 @@ use pvmap_store::memory::require_disk;
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::{StoreError, Table, Watch, WorkFolder};
 use pvmap_vmap::frame::FrameRecord;
+use pvmap_vmap::partial::MAX_NODES;
 use pvmap_vmap::{MapConfig, MapSummary, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
 use crate::bounds::{self, Bounds};
 use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
+use crate::exchange::Exchange;
 use crate::interaction::{GIVEN_BYTES, checked_pairs};
 use crate::journal::{self, Begun, Journal, SavedPlan};
 use crate::kernel::Counts;
 use crate::layers::{Approximation, Layer, layers};
 use crate::pairs::{Decider, Scene};
+use crate::partials::Tries;
 use crate::shares::{MAX_LINKS_ABOVE, Shares};
 use crate::sheets::Sheets;
 use crate::sink::{Found, Sink, Taken};
@@ -49,6 +52,8 @@ pub struct BuildOptions {
     pub interaction: Option<Vec<Pair>>,
     /// What may be left out or seen coarsely. [D-6]
     pub approximation: Approximation,
+    /// Whether leaf pairs half in shadow get visible fractions. [F-24]
+    pub fractions: bool,
     /// Most anonymous memory to hold, less 16 MiB and 2 MiB a thread. [D-9]
     pub memory_bytes: u64,
     /// How long at most, about, finished tasks may wait for their commit.
@@ -123,33 +128,45 @@ pub fn build(
         None => tree.nodes.first().map(|_| (0, 0)).into_iter().collect(),
     };
     let config = config_of(options, options.interaction.as_ref().map(|_| starts.as_slice()));
+    let (approximation, memory_bytes) = (&options.approximation, options.memory_bytes);
+    if config.has_partials() && tree.nodes.len() > MAX_NODES as usize {
+        return Err(VisibilityError::ManyNodes { n_nodes: tree.nodes.len() as u64 });
+    }
     let mut saved = plan_of(input, &config);
-    let layers = if options.approximation.is_none() {
-        vec![Layer::all(tree, starts)]
+    let layers = if approximation.is_layered() {
+        layers(tree, &starts, approximation, options.spacing, memory_bytes)?
     } else {
-        let memory_bytes = options.memory_bytes;
-        let layers = layers(tree, &starts, &options.approximation, options.spacing, memory_bytes)?;
+        vec![Layer::all(tree, starts)]
+    };
+    if approximation.is_layered() || config.has_partials() {
         let trees: Vec<&Tree> = layers.iter().map(|layer| &*layer.tree).collect();
         let lists_bytes = layers.iter().map(Layer::lists_bytes).sum::<u64>();
-        shares = Shares::new(&trees, given_bytes + lists_bytes, memory_bytes)?;
-        layers
-    };
+        let outlines_bytes = match approximation.min_exchange > 0.0 {
+            true => trees.iter().map(|tree| Exchange::bytes(tree)).sum::<u64>(),
+            false => 0,
+        };
+        let held_bytes = given_bytes + lists_bytes + outlines_bytes;
+        shares = Shares::new(&trees, held_bytes, memory_bytes)?;
+    }
+    if options.fractions {
+        // A task may find a link and a fraction for each of its leaf pairs.
+        shares.plan.task_links /= 2;
+    }
     if options.restart {
         work.clear(|_| true)?;
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
-    require_disk(work.path(), least_output_bytes(input, options.profile) + shares.mapped_bytes)?;
+    require_disk(work.path(), least_output_bytes(input, &config) + shares.mapped_bytes)?;
     watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
     let ground = |layer: &Layer<'_>| {
         let sheets_bytes = shares.sheets_bytes / layers.len() as u64;
-        Ground::new(&layer.tree, layer.profile(options.profile), sheets_bytes, folder)
+        Ground::new(layer, options, sheets_bytes, folder)
     };
     let grounds: Vec<Ground> = layers.iter().map(ground).collect::<Result<_, _>>()?;
     let both = layers.iter().zip(&grounds);
-    let scenes: Vec<Scene<'_>> =
-        both.map(|(layer, ground)| ground.scene(layer, options.profile)).collect();
+    let scenes: Vec<Scene<'_>> = both.map(|(layer, ground)| ground.scene(layer, options)).collect();
     watch.advance(tree.nodes.len() as u64);
     let n_pairs_of = |layer: &Layer<'_>| {
         layer.starts.iter().map(|&pair| n_leaf_pairs(&layer.tree, pair)).sum::<u64>()
@@ -178,11 +195,10 @@ pub fn build(
     drop(above);
     let n_tasks = plans.n_tasks() as u64;
     let stopped = journal.stopped(n_tasks);
-    let written =
-        write(input, (&config, options.profile), runs, journal, watch).map_err(|e| match e {
-            VisibilityError::Store(StoreError::Interrupted) => stopped,
-            e => e,
-        })?;
+    let written = write(input, &config, runs, journal, watch).map_err(|e| match e {
+        VisibilityError::Store(StoreError::Interrupted) => stopped,
+        e => e,
+    })?;
     let WrittenMap { summary, output_bytes, link_bytes, temporary_bytes } = written;
     Ok(BuildReport {
         summary,
@@ -201,16 +217,19 @@ struct Ground {
     bounds: Table<Bounds>,
     sheets: Sheets,
     families: Table<Family>,
+    /// Where pairs of little exchange are tried by a sample.
+    exchange: Option<Exchange>,
 }
 
 impl Ground {
     /// Makes it; its tables in files of `folder` where one is given.
     fn new(
-        tree: &Tree,
-        profile: Profile,
+        layer: &Layer<'_>,
+        options: &BuildOptions,
         sheets_bytes: u64,
         folder: Option<&Path>,
     ) -> Result<Ground, StoreError> {
+        let (tree, profile) = (&*layer.tree, layer.profile(options.profile));
         let nothing = Disc {
             centroid: [0; 3],
             normal: [0; 3],
@@ -222,16 +241,19 @@ impl Ground {
         let mut discs = Table::new(tree.surfels.len(), nothing, folder)?;
         let all = discs.par_iter_mut().enumerate();
         all.for_each(|(id, disc)| *disc = tree.disc(id as u32, profile));
-        let bounds = bounds::of_tree(tree, &discs, profile, folder)?;
+        let bounds = bounds::of_tree(tree, &discs, profile, options.fractions, folder)?;
         let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
         let families = candidates::families(tree, &bounds, &sheets, folder)?;
-        Ok(Ground { discs, bounds, sheets, families })
+        let least = options.approximation.min_exchange;
+        let exchange = (least > 0.0).then(|| Exchange::new(tree, options.spacing, least));
+        Ok(Ground { discs, bounds, sheets, families, exchange })
     }
 
-    fn scene<'a>(&'a self, layer: &'a Layer<'_>, profile: Profile) -> Scene<'a> {
-        let Ground { discs, bounds, sheets, families } = self;
-        let (tree, profile) = (&*layer.tree, layer.profile(profile));
-        Scene { tree, discs, bounds, families, sheets, profile }
+    fn scene<'a>(&'a self, layer: &'a Layer<'_>, options: &BuildOptions) -> Scene<'a> {
+        let Ground { discs, bounds, sheets, families, exchange } = self;
+        let (tree, profile) = (&*layer.tree, layer.profile(options.profile));
+        let tries = Tries { fractions: options.fractions, exchange: exchange.as_ref() };
+        Scene { tree, discs, bounds, families, sheets, profile, tries }
     }
 }
 
@@ -368,11 +390,11 @@ fn message_of(panic: &(dyn Any + Send)) -> String {
 }
 
 /// Says what a build is, by which a later one knows whether to go on with it.
-fn plan_of(input: &MapInput<'_>, config: &str) -> SavedPlan {
+fn plan_of(input: &MapInput<'_>, config: &MapConfig) -> SavedPlan {
     SavedPlan {
         tool: env!("CARGO_PKG_VERSION").to_owned(),
         digest: input.digest,
-        config: config.to_owned(),
+        config: config.to_text(),
         n_nodes: input.tree.nodes.len() as u64,
         n_surfels: input.tree.surfels.len() as u64,
         target: 0,
@@ -381,8 +403,8 @@ fn plan_of(input: &MapInput<'_>, config: &str) -> SavedPlan {
     }
 }
 
-/// The canonical text of the keys that decide content. [F-14]
-fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
+/// The keys that decide content. [F-14]
+fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> MapConfig {
     let interaction_pairs = interaction.map(|pairs| {
         let rows: Vec<u8> =
             pairs.iter().flat_map(|&(a, b)| [a.to_le_bytes(), b.to_le_bytes()].concat()).collect();
@@ -390,8 +412,8 @@ fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
     });
     let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
         *options;
-    let Approximation { opening_angle, min_form_factor } = options.approximation;
-    let config = MapConfig {
+    let Approximation { opening_angle, min_form_factor, min_exchange } = options.approximation;
+    MapConfig {
         max_level,
         leaf_capacity,
         max_spread,
@@ -401,6 +423,7 @@ fn config_of(options: &BuildOptions, interaction: Option<&[Pair]>) -> String {
         interaction_pairs,
         opening_angle,
         min_form_factor,
-    };
-    config.to_text()
+        min_exchange,
+        fractions: options.fractions,
+    }
 }

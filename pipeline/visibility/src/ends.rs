@@ -14,11 +14,12 @@ pub const MAX_ENDS: usize = u64::BITS as usize;
 /// Ends that are asked at once whom they face.
 const OCTET: usize = 8;
 
-/// Up to 64 leaves in a row, a lane each: all near or all far ends of a block's segments.
+/// Up to 64 ends, a lane each: all near or all far ends of a block's segments. Each is a surfel at
+/// its centroid or at another place.
 #[derive(Debug, Clone)]
 pub struct Ends {
-    /// Surfel id of the first; the others follow.
-    first: u32,
+    /// Surfel ids.
+    surfels: [u32; MAX_ENDS],
     n: usize,
     pub(crate) centroid: [[f32; MAX_ENDS]; 3],
     /// Each centroid and its opposite: the greatest of some are the corners of their box.
@@ -37,7 +38,7 @@ pub struct Ends {
 impl Ends {
     /// No leaves.
     pub const NONE: Ends = Ends {
-        first: 0,
+        surfels: [0; MAX_ENDS],
         n: 0,
         centroid: [[0.0; MAX_ENDS]; 3],
         corners: [[0.0; 8]; MAX_ENDS],
@@ -50,10 +51,24 @@ impl Ends {
 
     /// Loads consecutive surfels, 1 to 64. Lanes beyond them keep what they held.
     pub fn load(&mut self, discs: &[Disc], surfels: Range<u32>, profile: Profile) {
-        (self.first, self.n) = (surfels.start, surfels.len());
-        for (k, disc) in discs[surfels.start as usize..surfels.end as usize].iter().enumerate() {
+        let ends = surfels.map(|id| (id, discs[id as usize].centroid));
+        self.load_at(discs, ends, profile);
+    }
+
+    /// Loads surfels, 1 to 64, each as if its centroid were at a place of the grid.
+    pub fn load_at(
+        &mut self,
+        discs: &[Disc],
+        ends: impl Iterator<Item = (u32, [i32; 3])>,
+        profile: Profile,
+    ) {
+        self.n = 0;
+        for (k, (id, place)) in ends.enumerate() {
+            let disc = &discs[id as usize];
+            self.surfels[k] = id;
+            self.n = k + 1;
             for i in 0..3 {
-                let c = disc.centroid[i] as f32;
+                let c = place[i] as f32;
                 self.centroid[i][k] = c;
                 (self.corners[k][i], self.corners[k][i + 3]) = (c, -c);
                 self.normal[i][k] = f64::from(disc.normal[i]);
@@ -91,8 +106,15 @@ impl Ends {
     }
 
     /// Gives the surfel of a lane.
-    pub(crate) fn surfel(&self, k: usize) -> usize {
-        self.first as usize + k
+    pub(crate) fn surfel(&self, k: usize) -> u32 {
+        self.surfels[k]
+    }
+
+    /// Gives the disc of a lane, its centroid where the end is.
+    pub(crate) fn disc(&self, k: usize, discs: &[Disc]) -> Disc {
+        // Whole numbers below 2^24.
+        let centroid = [0, 1, 2].map(|i| self.centroid[i][k] as i32);
+        Disc { centroid, ..discs[self.surfels[k] as usize] }
     }
 
     /// Finds who faces whom among these ends, the rows, and others, the columns: for each row, a

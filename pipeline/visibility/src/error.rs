@@ -44,6 +44,16 @@ pub enum VisibilityError {
     /// A task panicked, which is a bug; what was done by then is kept.
     #[error("a bug: {0}")]
     Panicked(String),
+    /// A map with visible fractions cannot have so many nodes. [F-24]
+    #[error(
+        "{n_nodes} nodes: a map with visible fractions has at most {}; lower max_level or raise \
+         leaf_capacity",
+        pvmap_vmap::partial::MAX_NODES
+    )]
+    ManyNodes {
+        /// Nodes of the tree.
+        n_nodes: u64,
+    },
     /// Given interaction pairs break a rule.
     #[error("interaction pairs {rows:?}: {fault}")]
     Interaction {

@@ -207,7 +207,7 @@ mod tests {
             let mut blockers = Blockers::default();
             let reach = bounds::of_group(&discs[2..], profile).blockers;
             blockers.load(&discs, [(2, reach)].into_iter());
-            let shot = Shot { discs: &discs, profile, block: [&rows, &columns] };
+            let shot = Shot { discs: &discs, profile, block: [&rows, &columns], is_tried: false };
             let mut packets = Vec::new();
             pack(shot.block, &[1], &mut packets);
             blockers.shoot(&shot, &mut packets[0], &mut counts);
@@ -255,7 +255,8 @@ mod tests {
                 let reach = |id| bounds::of_group(&[*disc(id)], profile).blockers;
                 let mut blockers = Blockers::default();
                 blockers.load(&discs, (0..n).map(|id| (id, reach(id))));
-                let shot = Shot { discs: &discs, profile, block: [&rows, &columns] };
+                let shot =
+                    Shot { discs: &discs, profile, block: [&rows, &columns], is_tried: false };
                 let mut packets = Vec::new();
                 pack(shot.block, &open, &mut packets);
                 assert_eq!(packets.len(), (rows.len() * columns.len()).div_ceil(WIDTH));

@@ -24,8 +24,9 @@ use pvmap_store::StoreError;
 use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
 use pvmap_vmap::records::NO_PARENT;
-use pvmap_vmap::{Node, Spacing, Split, Surfel, Tree};
+use pvmap_vmap::{Node, Partial, Spacing, Split, Surfel, Tree};
 
+use crate::partials;
 use crate::shares::fixed_bytes;
 
 /// What may be left out or seen coarsely; 0 for nothing.
@@ -35,12 +36,14 @@ pub struct Approximation {
     pub opening_angle: f64,
     /// Form factor below which leaf pairs may be left out, 0…1.
     pub min_form_factor: f64,
+    /// Exchange below which a node pair is tried by a sample, 0…1. [F-26]
+    pub min_exchange: f64,
 }
 
 impl Approximation {
-    /// Says whether all leaf pairs are decided.
-    pub fn is_none(&self) -> bool {
-        *self == Approximation::default()
+    /// Says whether the pairs to start from are sorted into layers.
+    pub fn is_layered(&self) -> bool {
+        self.opening_angle > 0.0 || self.min_form_factor > 0.0
     }
 }
 
@@ -85,10 +88,18 @@ impl<'a> Layer<'a> {
         (self.whole_node(a), self.whole_node(b))
     }
 
-    /// Makes pairs of the whole tree of pairs of the layer.
+    /// Makes pairs of the whole tree of pairs of the layer, links or with visible fractions.
     pub fn make_whole(&self, pairs: &mut [Pair]) {
         if !self.nodes.is_empty() {
-            pairs.iter_mut().for_each(|pair| *pair = self.whole(*pair));
+            pairs.iter_mut().for_each(|pair| {
+                *pair = match partials::unmarked(*pair) {
+                    None => self.whole(*pair),
+                    Some(Partial { a, b, n_free }) => {
+                        let (a, b) = self.whole((a, b));
+                        partials::marked(Partial { a, b, n_free })
+                    }
+                }
+            });
         }
     }
 }
@@ -143,8 +154,9 @@ pub fn layers<'a>(
 
 /// What is known of the leaves under a node.
 #[derive(Debug, Clone, Copy)]
-struct Extent {
-    centroids: Box3,
+pub(crate) struct Extent {
+    /// Of the centroids.
+    pub(crate) centroids: Box3,
     /// Least and greatest of each component of the normals.
     normals: [[i16; 3]; 2],
     /// Whether some leaf may look anywhere: it is two-sided, or has no normal.
@@ -188,9 +200,14 @@ impl Extent {
         }
     }
 
+    /// Gives the area of the largest leaf, grid steps².
+    pub(crate) fn largest_area(&self) -> f64 {
+        self.area
+    }
+
     /// Bounds the cosine between a normal and a way to a centroid of another node, `near` steps
     /// long or longer.
-    fn cosine(&self, other: &Extent, near: f64) -> f64 {
+    pub(crate) fn cosine(&self, other: &Extent, near: f64) -> f64 {
         if self.any_side {
             return 1.0;
         }
@@ -207,7 +224,7 @@ impl Extent {
 }
 
 /// Gives what is known of each node.
-fn extents(tree: &Tree, spacing: Spacing) -> Vec<Extent> {
+pub(crate) fn extents(tree: &Tree, spacing: Spacing) -> Vec<Extent> {
     let mut extents = vec![Extent::NOTHING; tree.nodes.len()];
     // Preorder backwards: children come before their parent.
     for (id, node) in tree.nodes.iter().enumerate().rev() {
@@ -278,7 +295,7 @@ impl Sorter<'_> {
 }
 
 /// Gives the squared distance of two boxes.
-fn nearest2(a: &Box3, b: &Box3) -> f64 {
+pub(crate) fn nearest2(a: &Box3, b: &Box3) -> f64 {
     let gap = |i: usize| f64::from((b.min[i] - a.max[i]).max(a.min[i] - b.max[i]).max(0));
     (0..3).map(|i| gap(i) * gap(i)).sum()
 }

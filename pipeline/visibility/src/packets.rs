@@ -197,6 +197,9 @@ pub struct Shot<'a> {
     pub profile: Profile,
     /// The rows and the columns of the block.
     pub block: [&'a Ends; 2],
+    /// Whether ends are off the centroids of their surfels, whose discs then may be in the way:
+    /// they block nothing.
+    pub is_tried: bool,
 }
 
 /// Closes the open segments of a packet that some disc of a list blocks; gives the position of the
@@ -226,7 +229,7 @@ pub(crate) fn fire(
                 continue;
             }
             let (before, position) = (packet.open, i * WIDTH + k);
-            settle(shot, &shot.discs[ids[position] as usize], asked, packet, counts);
+            settle(shot, ids[position], asked, packet, counts);
             let n_closed = (before & !packet.open).count_ones();
             if n_closed > most {
                 (best, most) = (Some(position), n_closed);
@@ -249,10 +252,12 @@ fn lanes_with(lanes: &[u32; WIDTH], bit: usize) -> u32 {
     union_of(&with)
 }
 
-/// Closes those of some segments that a disc blocks.
+/// Closes those of some segments that the disc of a surfel blocks.
 #[inline(always)]
-fn settle(shot: &Shot<'_>, blocker: &Disc, hits: u32, packet: &mut Packet, counts: &mut Counts) {
-    let Shot { discs, profile, block } = *shot;
+fn settle(shot: &Shot<'_>, blocker: u32, hits: u32, packet: &mut Packet, counts: &mut Counts) {
+    let Shot { discs, profile, block, is_tried } = *shot;
+    let hits = if is_tried { hits & !of_surfel(block, blocker, packet) } else { hits };
+    let blocker = &discs[blocker as usize];
     let plate = Plate::new(profile, blocker);
     for half in 0..2 {
         let asked = hits >> (half * HALF) & 0xff;
@@ -263,13 +268,25 @@ fn settle(shot: &Shot<'_>, blocker: &Disc, hits: u32, packet: &mut Packet, count
         packet.open &= !((sure & asked) << (half * HALF));
         for lane in bits((maybe & !sure & asked).into()).map(|k| half * HALF + k) {
             counts.n_exact += 1;
-            let a = &discs[block[0].surfel(packet.row[lane] as usize)];
-            let b = &discs[block[1].surfel(packet.column[lane] as usize)];
-            if disc::blocks(profile, a, b, blocker) {
+            let a = block[0].disc(packet.row[lane] as usize, discs);
+            let b = block[1].disc(packet.column[lane] as usize, discs);
+            if disc::blocks(profile, &a, &b, blocker) {
                 packet.open &= !(1 << lane);
             }
         }
     }
+}
+
+/// Finds the segments that have an end on a surfel, a bit each.
+#[inline(always)]
+fn of_surfel(block: [&Ends; 2], surfel: u32, packet: &Packet) -> u32 {
+    let is_of = |side: &Ends, lane: u32| side.surfel(lane as usize) == surfel;
+    let mut found = 0;
+    for k in 0..WIDTH {
+        let is_end = is_of(block[0], packet.row[k]) | is_of(block[1], packet.column[k]);
+        found |= u32::from(is_end) << k;
+    }
+    found
 }
 
 /// Where one end of segments may be: a box by its corners, its middle and its half sides.

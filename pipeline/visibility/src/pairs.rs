@@ -9,13 +9,15 @@ use std::ops::Range;
 
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::runs::Pair;
-use pvmap_vmap::Tree;
+use pvmap_vmap::partial::SEGMENTS;
+use pvmap_vmap::{Partial, Tree};
 
 use crate::block::BlockDecider;
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
 use crate::ends::MAX_ENDS;
 use crate::kernel::Counts;
+use crate::partials::{self, Tries, take_back};
 use crate::sheets::Sheets;
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
@@ -44,9 +46,18 @@ pub struct Scene<'a> {
     pub sheets: &'a Sheets,
     /// How discs block.
     pub profile: Profile,
+    /// What is tried by a sample.
+    pub tries: Tries<'a>,
 }
 
 impl Scene<'_> {
+    /// Says whether a pair is tried by a sample instead of being opened. [F-26]
+    pub fn is_tried(&self, a: u32, b: u32) -> bool {
+        let is_leaf = |id: u32| self.tree.nodes[id as usize].is_leaf();
+        let exchange = self.tries.exchange;
+        exchange.is_some_and(|exchange| exchange.is_below(a, b)) && !(is_leaf(a) && is_leaf(b))
+    }
+
     /// Decides whether the surfels of two nodes face each other. Source: DESIGN.md [V-1].
     #[inline]
     pub fn facing(&self, a: u32, b: u32) -> Facing {
@@ -85,7 +96,7 @@ impl Gathered {
     pub fn settle(&self, links: &mut Vec<Pair>) -> Status {
         match (self.all_visible, self.any_visible) {
             (true, _) => {
-                links.truncate(self.from);
+                take_back(links, self.from);
                 Status::Visible
             }
             (false, false) => Status::Invisible,
@@ -110,6 +121,8 @@ pub struct Settled {
     pub n_blocks: u64,
     /// By child pairs.
     pub n_opened: u64,
+    /// By a sample.
+    pub n_tried: u64,
 }
 
 /// Decides node pairs on one thread; its buffers serve one pair after another.
@@ -128,7 +141,9 @@ pub struct Decider<'a> {
 impl<'a> Decider<'a> {
     /// Makes a decider that decides up to 1024 leaf pairs at once, 4096 where there are sheets.
     pub fn new(scene: Scene<'a>) -> Decider<'a> {
-        let are_sheets = !scene.sheets.is_empty();
+        // What is tried must not depend on what memory the sheets had.
+        let is_tried = scene.tries.fractions || scene.tries.exchange.is_some();
+        let are_sheets = !scene.sheets.is_empty() && !is_tried;
         Decider::with_blocks_of(if are_sheets { SHEET_BLOCK_PAIRS } else { BLOCK_PAIRS }, scene)
     }
 
@@ -188,6 +203,10 @@ impl<'a> Decider<'a> {
             self.settled.n_never_facing += 1;
             return Status::Invisible;
         }
+        if self.scene.is_tried(a, b) {
+            self.settled.n_tried += 1;
+            return self.try_nodes((a, b), list, links);
+        }
         let (n_a, n_b) = (self.n_leaves(a), self.n_leaves(b));
         let is_block = n_a.max(n_b) <= MAX_ENDS as u32 && n_a * n_b <= self.block_pairs;
         if is_block && facing != Facing::All {
@@ -217,6 +236,15 @@ impl<'a> Decider<'a> {
     fn block(&mut self, pair: Pair, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         self.settled.n_blocks += 1;
         self.block.decide(pair, &mut self.candidates, list, links)
+    }
+
+    /// Settles a pair by a sample: by the more of its segments, and how many these are is noted.
+    fn try_nodes(&mut self, (a, b): Pair, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
+        let n_free = self.block.try_nodes((a, b), &mut self.candidates, list);
+        if !n_free.is_multiple_of(SEGMENTS) {
+            links.push(partials::marked(Partial { a: a.min(b), b: a.max(b), n_free }));
+        }
+        if n_free >= SEGMENTS / 2 { Status::Visible } else { Status::Invisible }
     }
 
     fn n_leaves(&self, id: u32) -> u32 {
@@ -366,7 +394,8 @@ mod tests {
             let folder = folder.as_deref();
             // For all sheets, or for one.
             let memory_bytes = if n % 8 == 1 { Sheets::A_SHEET_BYTES } else { u64::MAX };
-            let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile, folder).unwrap();
+            let bounds =
+                bounds::of_tree(&grown.tree, &grown.discs, profile, false, folder).unwrap();
             let (sheets, _) = Sheets::all(&grown.tree, &grown.discs, &bounds, memory_bytes);
             let families = families(&grown.tree, &bounds, &sheets, folder).unwrap();
             Stage { grown, profile, bounds, sheets, families }
@@ -375,7 +404,8 @@ mod tests {
         fn scene(&self) -> Scene<'_> {
             let Stage { grown, profile, bounds, sheets, families } = self;
             let Grown { tree, discs, .. } = grown;
-            Scene { tree, discs, bounds, families, sheets, profile: *profile }
+            let tries = Tries::default();
+            Scene { tree, discs, bounds, families, sheets, profile: *profile, tries }
         }
     }
 
@@ -449,7 +479,7 @@ mod tests {
             }
             assert!(counts.n_by_sheets > 100 && counts.n_unsure > 100, "{counts:?}");
             eprintln!("blocks of {block_pairs}: {settled:?}, {n_statuses:?} pairs of each status");
-            let Settled { n_never_facing, n_clear, n_blocks, n_opened } = settled;
+            let Settled { n_never_facing, n_clear, n_blocks, n_opened, n_tried: _ } = settled;
             let ways = [n_never_facing, n_clear, n_blocks, n_opened];
             // A tree of some hundred leaves is settled whole in blocks of the usual size.
             let n_least = if block_pairs < BLOCK_PAIRS { 1000 } else { 0 };
@@ -486,7 +516,7 @@ mod tests {
             };
             let discs = (0..256).map(wall).chain((0..n_others).map(other)).collect();
             let Grown { tree, discs, .. } = Grown::new(discs, true, 0);
-            let bounds = bounds::of_tree(&tree, &discs, Profile::Patch, None).unwrap();
+            let bounds = bounds::of_tree(&tree, &discs, Profile::Patch, false, None).unwrap();
             let sheets = Sheets::new(&tree, &discs, &bounds, memory_bytes);
             assert_eq!(!sheets.is_empty(), are_asked, "{n_others} others, {memory_bytes} bytes");
         }

@@ -243,7 +243,7 @@ fn decided_by(scene: &Scene<'_>, (a, b): Pair, target: u64) -> By {
     let most = if a == b { target.min(MAX_SIBLINGS_PAIRS) } else { target };
     if a != b && scene.facing(a, b) == Facing::Never {
         By::Facing
-    } else if n_leaf_pairs(scene.tree, (a, b)) <= most {
+    } else if n_leaf_pairs(scene.tree, (a, b)) <= most || (a != b && scene.is_tried(a, b)) {
         By::Task
     } else {
         By::Children

@@ -2,30 +2,27 @@
 
 use pvmap_geometry::Rect;
 use pvmap_geometry::disc::Profile;
-use pvmap_store::runs::Runs;
-use pvmap_store::sections::Section;
+use pvmap_store::runs::{Pair, Runs};
+use pvmap_store::sections::{Section, SectionWriter};
 use pvmap_store::{SectionFile, StoreError, Watch};
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::frame::FrameRecord;
 use pvmap_vmap::links::LinkEncoder;
-use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map};
+use pvmap_vmap::map::{close_map, section_names};
 use pvmap_vmap::records::{LinkBlock, Record};
-use pvmap_vmap::{MapSummary, Node, Surfel, Tree};
+use pvmap_vmap::{MapConfig, MapSummary, Node, Surfel, Tree};
 
 use crate::build::MapInput;
 use crate::error::VisibilityError;
 use crate::journal::{self, Journal};
+use crate::partials;
 
 /// What a map has at the least: how many links there will be nobody knows before (F21).
-pub(crate) fn least_output_bytes(input: &MapInput<'_>, profile: Profile) -> u64 {
+pub(crate) fn least_output_bytes(input: &MapInput<'_>, config: &MapConfig) -> u64 {
     let Tree { nodes, surfels, rects } = input.tree;
     let records = nodes.len() * Node::BYTES + surfels.len() * Surfel::BYTES;
-    head_bytes(n_sections(profile)) + (records + rects.len() * Rect::BYTES) as u64
-}
-
-/// Counts the sections: with rectangles there is one more, even where no surfel has one. [F-22]
-fn n_sections(profile: Profile) -> usize {
-    SECTIONS.len() + usize::from(profile == Profile::Oriented)
+    let n_sections = section_names(config.profile, config.has_partials()).len();
+    head_bytes(n_sections) + (records + rects.len() * Rect::BYTES) as u64
 }
 
 /// What was written.
@@ -42,56 +39,64 @@ pub(crate) struct WrittenMap {
 /// Writes the map from the tree and the spilled links, and gives it its name.
 pub(crate) fn write(
     input: &MapInput<'_>,
-    (config, profile): (&str, Profile),
+    config: &MapConfig,
     runs: Runs,
     journal: Journal,
     watch: &dyn Watch,
 ) -> Result<WrittenMap, VisibilityError> {
     let tree = input.tree;
-    let head_bytes = head_bytes(n_sections(profile));
-    let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes)?;
+    let names = section_names(config.profile, config.has_partials());
+    let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes(names.len()))?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
-    let config = file.whole(config.as_bytes())?;
+    let config_section = file.whole(config.to_text().as_bytes())?;
     let nodes = write_records(&mut file, &tree.nodes)?;
     let surfels = write_records(&mut file, &tree.surfels)?;
-    let written = write_links(&mut file, tree, runs, watch)?;
-    let index = write_records(&mut file, &written.index)?;
+    let written = write_links(&mut file, config, tree, runs, watch)?;
+    let WrittenLinks { links, partials, n_visible_pairs, temporary_bytes } = written;
+    let link_bytes = links.section.len_bytes;
+    let index = write_records(&mut file, &links.index)?;
+    let partial_index = match &partials {
+        Some(partials) => Some(write_records(&mut file, &partials.index)?),
+        None => None,
+    };
     let frame = file.whole(&input.frame.to_bytes())?;
     let crs = file.whole(input.crs)?;
     let summary = MapSummary {
         n_points: tree.nodes.first().map_or(0, |root| root.n_points),
         n_nodes: tree.nodes.len() as u32,
         n_surfels: tree.surfels.len() as u32,
-        n_links: written.n_links,
-        n_visible_pairs: written.n_visible_pairs,
+        n_links: links.n_pairs,
+        n_visible_pairs,
         digest: input.digest,
+        n_partials: partials.as_ref().map_or(0, |partials| partials.n_pairs),
     };
     let room = file.rewrite(&room, &summary.to_bytes())?;
-    let (link_bytes, temporary_bytes) = (written.section.len_bytes, written.temporary_bytes);
-    let rects = match profile {
+    let rects = match config.profile {
         Profile::Oriented => Some(write_records(&mut file, &tree.rects)?),
         Profile::Patch | Profile::Paper => None,
     };
-    let sections = [room, config, nodes, surfels, written.section, index, frame, crs];
-    let sections: Vec<Section> = sections.into_iter().chain(rects).collect();
-    let sizes = [
-        MapSummary::BYTES,
-        0,
-        Node::BYTES,
-        Surfel::BYTES,
-        0,
-        LinkBlock::BYTES,
-        FrameRecord::BYTES,
-        0,
-        Rect::BYTES,
+    let before = [
+        (room, MapSummary::BYTES),
+        (config_section, 0),
+        (nodes, Node::BYTES),
+        (surfels, Surfel::BYTES),
+        (links.section, 0),
     ];
-    let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
-    sections.iter().try_for_each(|section| file.check(section))?;
+    let behind = [(frame, FrameRecord::BYTES), (crs, 0)];
+    let sections: Vec<(Section, usize)> = before
+        .into_iter()
+        .chain(partials.map(|partials| (partials.section, 0)))
+        .chain([(index, LinkBlock::BYTES)])
+        .chain(partial_index.map(|index| (index, LinkBlock::BYTES)))
+        .chain(behind)
+        .chain(rects.map(|rects| (rects, Rect::BYTES)))
+        .collect();
+    sections.iter().try_for_each(|(section, _)| file.check(section))?;
     let table: Vec<Written> = sections
         .into_iter()
-        .zip(names.zip(sizes))
-        .map(|(Section { offset_bytes, len_bytes, sums }, (name, size))| Written {
+        .zip(names)
+        .map(|((Section { offset_bytes, len_bytes, sums }, size), name)| Written {
             name,
             offset_bytes,
             len_bytes,
@@ -116,17 +121,25 @@ fn write_records<R: Record>(file: &mut SectionFile, records: &[R]) -> Result<Sec
     section.finish()
 }
 
-/// The link section and what was learned while it was written.
+/// The sections of links and of visible fractions, and what was learned while they were written.
 struct WrittenLinks {
-    section: Section,
-    index: Vec<LinkBlock>,
-    n_links: u64,
+    links: WrittenPairs,
+    /// Where the map has fractions.
+    partials: Option<WrittenPairs>,
     n_visible_pairs: u128,
     temporary_bytes: u64,
 }
 
+/// A section of pairs, and its index.
+struct WrittenPairs {
+    section: Section,
+    index: Vec<LinkBlock>,
+    n_pairs: u64,
+}
+
 fn write_links(
     file: &mut SectionFile,
+    config: &MapConfig,
     tree: &Tree,
     mut runs: Runs,
     watch: &dyn Watch,
@@ -141,30 +154,80 @@ fn write_links(
     }
     let temporary_bytes = runs.spilled_bytes();
     watch.stage("links", Some(runs.n_pairs()), "links");
-    let mut section = file.stream();
-    let mut encoder = LinkEncoder::new().map_err(VisibilityError::Compress)?;
-    let mut index: Vec<LinkBlock> = Vec::new();
-    let (mut n_links, mut n_visible_pairs) = (0, 0u128);
+    let mut n_visible_pairs = 0u128;
     let n_leaves = |id: u32| {
         let node = &tree.nodes[id as usize];
         u128::from(node.end_surfel - node.first_surfel)
     };
-    runs.merge(|(a, b)| {
-        n_links += 1;
-        n_visible_pairs += n_leaves(a) * n_leaves(b);
-        if let Some((block, frame)) = encoder.push((a, b)).map_err(VisibilityError::Compress)? {
-            watch.check()?;
-            watch.advance(block.n_links.into());
-            section.append(&frame)?;
-            index.push(block);
+    let mut writer = PairWriter::new(file.stream(), watch)?;
+    let mut links = None;
+    runs.merge(|pair| match partials::unmarked(pair) {
+        None => {
+            n_visible_pairs += n_leaves(pair.0) * n_leaves(pair.1);
+            writer.push(pair)
         }
-        Ok::<_, VisibilityError>(())
+        Some(partial) => {
+            // These come behind all links.
+            if links.is_none() {
+                links = Some(writer.start_next()?);
+            }
+            writer.push(partial.to_pair())
+        }
     })?;
-    if let Some((block, frame)) = encoder.finish().map_err(VisibilityError::Compress)? {
-        watch.advance(block.n_links.into());
-        section.append(&frame)?;
-        index.push(block);
+    if links.is_none() && config.has_partials() {
+        links = Some(writer.start_next()?);
     }
-    let section = section.finish()?;
-    Ok(WrittenLinks { section, index, n_links, n_visible_pairs, temporary_bytes })
+    let last = writer.start_next()?;
+    let (links, partials) = match links {
+        Some(links) => (links, Some(last)),
+        None => (last, None),
+    };
+    Ok(WrittenLinks { links, partials, n_visible_pairs, temporary_bytes })
+}
+
+/// Writes sections of pairs, one behind the other.
+struct PairWriter<'f, 'w> {
+    section: SectionWriter<'f>,
+    encoder: LinkEncoder,
+    index: Vec<LinkBlock>,
+    n_pairs: u64,
+    watch: &'w dyn Watch,
+}
+
+impl<'f, 'w> PairWriter<'f, 'w> {
+    fn new(
+        section: SectionWriter<'f>,
+        watch: &'w dyn Watch,
+    ) -> Result<PairWriter<'f, 'w>, VisibilityError> {
+        let encoder = LinkEncoder::new().map_err(VisibilityError::Compress)?;
+        Ok(PairWriter { section, encoder, index: Vec::new(), n_pairs: 0, watch })
+    }
+
+    fn push(&mut self, pair: Pair) -> Result<(), VisibilityError> {
+        self.n_pairs += 1;
+        let frame = self.encoder.push(pair).map_err(VisibilityError::Compress)?;
+        self.put(frame)
+    }
+
+    /// Ends the section and starts the next.
+    fn start_next(&mut self) -> Result<WrittenPairs, VisibilityError> {
+        let encoder = LinkEncoder::new().map_err(VisibilityError::Compress)?;
+        let ended = std::mem::replace(&mut self.encoder, encoder);
+        let frame = ended.finish().map_err(VisibilityError::Compress)?;
+        self.put(frame)?;
+        Ok(WrittenPairs {
+            section: self.section.start_next()?,
+            index: std::mem::take(&mut self.index),
+            n_pairs: std::mem::take(&mut self.n_pairs),
+        })
+    }
+
+    fn put(&mut self, frame: Option<(LinkBlock, Vec<u8>)>) -> Result<(), VisibilityError> {
+        let Some((block, frame)) = frame else { return Ok(()) };
+        self.watch.check()?;
+        self.watch.advance(block.n_links.into());
+        self.section.append(&frame)?;
+        self.index.push(block);
+        Ok(())
+    }
 }

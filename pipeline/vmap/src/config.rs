@@ -26,6 +26,10 @@ pub struct MapConfig {
     pub opening_angle: f64,
     /// The form factor below which leaf pairs may be left out, 0…1; 0 leaves out none.
     pub min_form_factor: f64,
+    /// The exchange below which a node pair is tried by a sample, 0…1; 0 opens all. [F-26]
+    pub min_exchange: f64,
+    /// Whether leaf pairs half in shadow have visible fractions. [F-26]
+    pub fractions: bool,
 }
 
 impl MapConfig {
@@ -61,7 +65,18 @@ impl MapConfig {
         if self.min_form_factor > 0.0 {
             text.push_str(&format!("min_form_factor = {}\n", self.min_form_factor));
         }
+        if self.min_exchange > 0.0 {
+            text.push_str(&format!("min_exchange = {}\n", self.min_exchange));
+        }
+        if self.fractions {
+            text.push_str("fractions = true\n");
+        }
         text
+    }
+
+    /// Says whether the map has the sections of visible fractions. [F-24]
+    pub fn has_partials(&self) -> bool {
+        self.fractions || self.min_exchange > 0.0
     }
 
     /// Reads the canonical text; none where it cannot be that of a map, or is not canonical.
@@ -97,6 +112,8 @@ impl MapConfig {
         };
         let opening_angle = next("opening_angle").map_or(Some(0.0), share)?;
         let min_form_factor = next("min_form_factor").map_or(Some(0.0), share)?;
+        let min_exchange = next("min_exchange").map_or(Some(0.0), share)?;
+        let fractions = next("fractions").is_some();
         let config = MapConfig {
             max_level,
             leaf_capacity,
@@ -107,6 +124,8 @@ impl MapConfig {
             interaction_pairs,
             opening_angle,
             min_form_factor,
+            min_exchange,
+            fractions,
         };
         let is_level = (1..=morton::MAX_LEVEL).contains(&max_level);
         (is_level && config.to_text() == text).then_some(config)
@@ -141,6 +160,8 @@ mod tests {
         interaction_pairs: None,
         opening_angle: 0.0,
         min_form_factor: 0.0,
+        min_exchange: 0.0,
+        fractions: false,
     };
 
     #[test]
@@ -153,6 +174,8 @@ mod tests {
             interaction_pairs: Some((7, u128::MAX)),
             opening_angle: 0.15,
             min_form_factor: 1e-9,
+            min_exchange: 0.5,
+            fractions: true,
             ..PLAIN
         };
         let far = MapConfig { min_form_factor: 0.25, ..PLAIN };
@@ -160,7 +183,9 @@ mod tests {
             assert_eq!(MapConfig::of_text(&config.to_text()), Some(config));
         }
         let text = all.to_text();
-        assert!(text.ends_with("opening_angle = 0.15\nmin_form_factor = 0.000000001\n"), "{text}");
+        let end = "opening_angle = 0.15\nmin_form_factor = 0.000000001\nmin_exchange = 0.5\n\
+                   fractions = true\n";
+        assert!(text.ends_with(end), "{text}");
     }
 
     #[test]
@@ -173,6 +198,8 @@ mod tests {
             "opening_angle = 1e-1\n",
             "min_form_factor = 0.1\nopening_angle = 0.1\n",
             "spacing = \"leaf\"\n",
+            "fractions = false\n",
+            "fractions = true\nmin_exchange = 0.1\n",
             "interaction_pairs = \"7\"\n",
             "more = 1\n",
         ] {

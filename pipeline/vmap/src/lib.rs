@@ -3,8 +3,8 @@
 //! `FORMAT.md` beside this crate says what every byte means; the code follows it sentence by
 //! sentence. [`container`] is the file around the sections, [`records`] the fixed rows, [`schema`]
 //! the columns of point records, [`tree`] the nodes and surfels with the routing of points to
-//! leaves, [`config`] the keys of a build, [`links`] the codec of the link blocks, [`map`] and
-//! [`octree`] the views a reader gets of a whole file. The room opens no file and trusts no byte: a
+//! leaves, [`config`] the keys of a build, [`links`] the codec of sorted pairs in blocks and
+//! [`pairs`] how they are read, [`partial`] pairs with visible fractions, [`map`] and [`octree`] the views a reader gets of a whole file. The room opens no file and trusts no byte: a
 //! view checks each block when it is first touched, and no input makes it panic, answer wrongly or
 //! allocate what the file does not hold.
 //!
@@ -18,6 +18,8 @@ pub mod frame;
 pub mod links;
 pub mod map;
 pub mod octree;
+pub mod pairs;
+pub mod partial;
 pub mod records;
 pub mod router;
 pub mod schema;
@@ -28,6 +30,8 @@ pub use container::{Container, Kind};
 pub use error::FormatError;
 pub use map::MapView;
 pub use octree::OctreeView;
+pub use pairs::Pairs;
+pub use partial::Partial;
 pub use records::{MapSummary, Node, OctreeSummary, Source, Split, Surfel};
 pub use router::Router;
 pub use tree::{Shape, Spacing, Tree};

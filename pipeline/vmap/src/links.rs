@@ -172,15 +172,20 @@ impl LinkLists {
 ///
 /// # Errors
 /// Where a checksum differs, the content is not of the stated size or breaks a rule; the place
-/// given is `at_bytes`, the frame's place in the file.
-pub fn decode(block: &LinkBlock, frame: &[u8], at_bytes: u64) -> Result<LinkLists, FormatError> {
+/// given is `at_bytes`, the frame's place in the file, in `section`.
+pub fn decode(
+    section: &str,
+    block: &LinkBlock,
+    frame: &[u8],
+    at_bytes: u64,
+) -> Result<LinkLists, FormatError> {
     let broken = |what: &str| FormatError::Broken {
-        section: "links".to_owned(),
+        section: section.to_owned(),
         offset_bytes: at_bytes,
         what: what.to_owned(),
     };
     if crc32fast::hash(frame) != block.crc {
-        let section = "links".to_owned();
+        let section = section.to_owned();
         return Err(FormatError::Checksum { section, offset_bytes: at_bytes });
     }
     let size = block.content_bytes as usize;
@@ -264,7 +269,7 @@ mod tests {
     fn decode_all(frames: &[(LinkBlock, Vec<u8>)]) -> Vec<(u32, u32)> {
         frames
             .iter()
-            .flat_map(|(b, f)| decode(b, f, 0).unwrap().iter().collect::<Vec<_>>())
+            .flat_map(|(b, f)| decode("links", b, f, 0).unwrap().iter().collect::<Vec<_>>())
             .collect()
     }
 
@@ -315,8 +320,8 @@ mod tests {
     fn f48_a_stated_size_beyond_the_limit_is_refused_before_allocation() {
         let (mut block, frame) = encode(&[(1, 2)]).remove(0);
         block.content_bytes = u32::MAX;
-        assert!(matches!(decode(&block, &frame, 0), Err(FormatError::Broken { .. })));
+        assert!(matches!(decode("links", &block, &frame, 0), Err(FormatError::Broken { .. })));
         block.content_bytes = 4;
-        assert!(matches!(decode(&block, &frame, 0), Err(FormatError::Broken { .. })));
+        assert!(matches!(decode("links", &block, &frame, 0), Err(FormatError::Broken { .. })));
     }
 }

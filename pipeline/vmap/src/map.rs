@@ -8,16 +8,32 @@ use crate::config::{MapConfig, profile_of};
 use crate::container::{Closing, Container, Kind, RECTS, Section, Written, close};
 use crate::error::FormatError;
 use crate::frame::{CrsKind, FrameRecord};
-use crate::links::{self, LinkLists};
-use crate::records::{LinkBlock, MapSummary, NO_PARENT, Node, Record, Split, Surfel};
+use crate::pairs::{PairSections, Pairs};
+use crate::partial::Partial;
+use crate::records::{MapSummary, NO_PARENT, Node, Record, Split, Surfel};
 use crate::tree::{Nodes, overhang};
 
-/// The sections of a map in file order, without `sums`.
+/// The sections of every map in file order, without `sums`.
 pub const SECTIONS: [&str; 8] =
     ["summary", "config", "nodes", "surfels", "links", "linkidx", "frame", "crs"];
 
 /// The section behind them with profile `oriented`. [F-22]
 pub const RECTS_SECTION: &str = RECTS.0;
+
+/// The sections of a map with visible fractions, the first behind `links`, the second behind
+/// `linkidx`. [F-24]
+const PARTIAL_SECTIONS: [&str; 2] = ["partials", "partidx"];
+
+/// Names the sections of a map in file order, without `sums`.
+pub fn section_names(profile: Profile, has_partials: bool) -> Vec<&'static str> {
+    let with = |name| match name {
+        "links" if has_partials => vec![name, PARTIAL_SECTIONS[0]],
+        "linkidx" if has_partials => vec![name, PARTIAL_SECTIONS[1]],
+        _ => vec![name],
+    };
+    let rects = (profile == Profile::Oriented).then_some(RECTS_SECTION);
+    SECTIONS.into_iter().flat_map(with).chain(rects).collect()
+}
 
 /// The largest `config` a reader accepts.
 const MAX_CONFIG_BYTES: u64 = 4096;
@@ -31,10 +47,11 @@ pub struct MapView<'a> {
     frame: FrameRecord,
     nodes: Section,
     surfels: Section,
-    links: Section,
-    index: Section,
+    links: PairSections,
     /// With profile `oriented`.
     rects: Option<Section>,
+    /// With visible fractions.
+    partials: Option<PairSections>,
 }
 
 impl<'a> MapView<'a> {
@@ -48,11 +65,14 @@ impl<'a> MapView<'a> {
         let frame: FrameRecord = single(&file, "frame")?;
         let nodes = file.section("nodes", Node::BYTES as u32)?.clone();
         let surfels = file.section("surfels", Surfel::BYTES as u32)?.clone();
-        let links = file.section("links", 0)?.clone();
-        let index = file.section("linkidx", LinkBlock::BYTES as u32)?.clone();
+        let links = PairSections::of(&file, ["links", "linkidx"])?;
         let rects = match file.required() & RECTS.1 {
             0 => None,
             _ => Some(file.section(RECTS_SECTION, Rect::BYTES as u32)?.clone()),
+        };
+        let partials = match file.section(PARTIAL_SECTIONS[0], 0) {
+            Ok(_) => Some(PairSections::of(&file, PARTIAL_SECTIONS)?),
+            Err(_) => None,
         };
         let counted = [(&nodes, summary.n_nodes), (&surfels, summary.n_surfels)];
         let cut = rects.iter().map(|rects| (rects, summary.n_surfels));
@@ -62,7 +82,7 @@ impl<'a> MapView<'a> {
                 return Err(section.broken(0, format!("{found} records, summary says {expected}")));
             }
         }
-        Ok(MapView { file, summary, frame, nodes, surfels, links, index, rects })
+        Ok(MapView { file, summary, frame, nodes, surfels, links, rects, partials })
     }
 
     /// Gives the file around the sections.
@@ -132,61 +152,15 @@ impl<'a> MapView<'a> {
         }
     }
 
-    /// Counts the link frames.
-    pub fn n_link_blocks(&self) -> u64 {
-        self.index.n_records
+    /// Gives the links. [F-17]
+    pub fn links(&self) -> Pairs<'_, 'a> {
+        Pairs::new(&self.file, &self.links)
     }
 
-    /// Reads a row of the link index.
-    ///
-    /// # Errors
-    /// Where there is no such row or its block is damaged.
-    pub fn link_block(&self, i: u64) -> Result<LinkBlock, FormatError> {
-        record(&self.file, &self.index, i)
-    }
-
-    /// Decodes a link frame, checking it.
-    ///
-    /// # Errors
-    /// Where the frame or its row of the index is damaged.
-    pub fn link_lists(&self, i: u64) -> Result<LinkLists, FormatError> {
-        let block = self.link_block(i)?;
-        let frame = self.file.read(&self.links, block.offset_bytes, block.len_bytes.into())?;
-        links::decode(&block, frame, self.links.offset_bytes.saturating_add(block.offset_bytes))
-    }
-
-    /// Reads the first link of a frame, and nothing else of its row.
-    ///
-    /// # Errors
-    /// Where there is no such row or its block is damaged.
-    pub fn first_link(&self, i: u64) -> Result<(u32, u32), FormatError> {
-        self.link_at(i, LinkBlock::FIRST_AT)
-    }
-
-    /// Finds the first frame that ends with (a, b) or a later link; `n_link_blocks` where there is
-    /// none.
-    ///
-    /// # Errors
-    /// Where a touched block of the index is damaged.
-    pub fn link_block_from(&self, a: u32, b: u32) -> Result<u64, FormatError> {
-        let (mut low, mut high) = (0, self.index.n_records);
-        while low < high {
-            let middle = low + (high - low) / 2;
-            if self.link_at(middle, LinkBlock::LAST_AT)? < (a, b) {
-                low = middle + 1;
-            } else {
-                high = middle;
-            }
-        }
-        Ok(low)
-    }
-
-    /// Reads one of the links that a row of the index names.
-    #[inline]
-    fn link_at(&self, i: u64, at_bytes: u64) -> Result<(u32, u32), FormatError> {
-        let at = i.saturating_mul(LinkBlock::BYTES as u64).saturating_add(at_bytes);
-        let mut r = FieldReader::new(self.file.read(&self.index, at, 8)?);
-        Ok((r.u32(), r.u32()))
+    /// Gives the pairs with visible fractions, as [`Partial`] reads them; none where the map has no
+    /// fractions. [F-24]
+    pub fn partials(&self) -> Option<Pairs<'_, 'a>> {
+        self.partials.as_ref().map(|sections| Pairs::new(&self.file, sections))
     }
 
     /// Reads the parent of a node, and nothing else of its record; [`NO_PARENT`] of the root.
@@ -230,19 +204,26 @@ impl<'a> MapView<'a> {
         self.crs()?;
         self.verify_config()?;
         self.verify_tree()?;
-        self.verify_links(tell)
+        self.verify_links(tell)?;
+        self.verify_partials(tell)
     }
 
-    /// Counts the bytes that verifying goes through: the whole file, then the links again.
+    /// Counts the bytes that verifying goes through: the whole file, then links and visible
+    /// fractions again.
     pub fn verify_bytes(&self) -> u64 {
-        self.file.len_bytes() + self.links.len_bytes
+        let of_partials = self.partials().map_or(0, |partials| partials.len_bytes());
+        self.file.len_bytes() + self.links().len_bytes() + of_partials
     }
 
     fn verify_config(&self) -> Result<(), FormatError> {
         let text = self.config()?;
-        if MapConfig::of_text(text).is_none() {
-            let section = self.file.section("config", 0)?;
-            return Err(section.broken(0, "not the keys of a map in their canonical form"));
+        let broken = |what| Ok(self.file.section("config", 0)?.broken(0, what));
+        match MapConfig::of_text(text) {
+            None => broken("not the keys of a map in their canonical form").and_then(Err)?,
+            Some(config) if config.has_partials() != self.partials.is_some() => {
+                broken("names visible fractions, or the file has some").and_then(Err)?;
+            }
+            Some(_) => {}
         }
         self.profile()?;
         Ok(())
@@ -337,41 +318,48 @@ impl<'a> MapView<'a> {
     }
 
     fn verify_links(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
-        let (mut n_links, mut end, mut before) = (0u64, 0, None);
         let mut n_pairs = 0u128;
         // The links of a node stand together: it is read once.
         let mut near: Option<(u32, Node)> = None;
         let n_leaves = |node: &Node| u128::from(node.end_surfel - node.first_surfel);
-        for i in 0..self.index.n_records {
-            let block = self.link_block(i)?;
-            let at = i * LinkBlock::BYTES as u64;
-            if block.offset_bytes != end || before.is_some_and(|b| b >= block.first) {
-                return Err(self.index.broken(at, "frames are not in order"));
+        let each = |a: u32, b: u32| {
+            if b >= self.summary.n_nodes {
+                return Ok(Some(format!("a link to node {b} of no tree")));
             }
-            for (a, b) in self.link_lists(i)?.iter() {
-                if b >= self.summary.n_nodes {
-                    return Err(self.index.broken(at, format!("a link to node {b} of no tree")));
-                }
-                if near.is_none_or(|(id, _)| id != a) {
-                    near = Some((a, self.node(a)?));
-                }
-                if near.is_some_and(|(_, near)| b < near.end) {
-                    return Err(self.index.broken(at, "a link between a node and one below it"));
-                }
-                n_pairs += near.map_or(0, |(_, near)| n_leaves(&near)) * n_leaves(&self.node(b)?);
-            }
-            n_links += u64::from(block.n_links);
-            end += u64::from(block.len_bytes);
-            before = Some(block.last);
-            tell(block.len_bytes.into());
-        }
-        if end != self.links.len_bytes || n_links != self.summary.n_links {
-            return Err(self.links.broken(end, "frames do not fill the section"));
-        }
+            let from = match near {
+                Some((id, from)) if id == a => from,
+                _ => near.insert((a, self.node(a)?)).1,
+            };
+            n_pairs += n_leaves(&from) * n_leaves(&self.node(b)?);
+            let is_below = b < from.end;
+            Ok(is_below.then(|| "a link between a node and one below it".to_owned()))
+        };
+        self.links().verify(self.summary.n_links, each, tell)?;
         if n_pairs != self.summary.n_visible_pairs {
-            return Err(self.links.broken(0, "links do not cover the stated visible pairs"));
+            let section = self.file.section("links", 0)?;
+            return Err(section.broken(0, "links do not cover the stated visible pairs"));
         }
         Ok(())
+    }
+
+    fn verify_partials(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
+        let Some(partials) = self.partials() else { return Ok(()) };
+        let mut before = None;
+        let each = |a: u32, numbers: u32| {
+            let fault = match Partial::of_pair((a, numbers)) {
+                None => Some("more free segments than were tried"),
+                Some(Partial { b, .. }) if b >= self.summary.n_nodes => Some("a node of no tree"),
+                Some(Partial { b, .. }) if b < self.node(a)?.end => {
+                    Some("a pair of a node and one below it")
+                }
+                Some(Partial { b, .. }) if before.replace((a, b)) == Some((a, b)) => {
+                    Some("a pair that has two visible fractions")
+                }
+                Some(_) => None,
+            };
+            Ok(fault.map(str::to_owned))
+        };
+        partials.verify(self.summary.n_partials, each, tell)
     }
 }
 
@@ -464,11 +452,10 @@ pub(crate) fn single<R: Record>(file: &Container<'_>, name: &str) -> Result<R, F
     record(file, section, 0)
 }
 
-/// Makes what closes a map, from its sections in the order of [`SECTIONS`], then `rects` if the
-/// profile is `oriented`.
+/// Makes what closes a map, from its sections in the order of [`section_names`].
 pub fn close_map(sections: &[Written]) -> Closing {
-    let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
-    let are_in_order = sections.iter().map(|s| s.name).eq(names.take(sections.len()));
+    let mut names = section_names(Profile::Oriented, true).into_iter();
+    let are_in_order = sections.iter().all(|section| names.any(|name| name == section.name));
     debug_assert!(are_in_order && sections.len() >= SECTIONS.len(), "sections in file order");
     close(Kind::Map, sections)
 }

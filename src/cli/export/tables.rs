@@ -118,9 +118,9 @@ fn nodes(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> R
 
 fn links(view: &MapView<'_>, path: &Path, out: &mut Out, watch: &dyn Watch) -> Result<(), Error> {
     watch.stage("links", Some(view.summary().n_links), "rows");
-    for block in 0..view.n_link_blocks() {
+    for block in 0..view.links().n_blocks() {
         watch.check()?;
-        let lists = view.link_lists(block).map_err(|e| Error::artifact(path, e))?;
+        let lists = view.links().lists(block).map_err(|e| Error::artifact(path, e))?;
         watch.advance(lists.len() as u64);
         for (a, b) in lists.iter() {
             writeln!(out, "{a},{b}").map_err(|e| StoreError::io(path, "write a table of", e))?;

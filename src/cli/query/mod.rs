@@ -2,6 +2,7 @@
 //! ([`Asked`]) and tables of questions (`batch`).
 
 mod batch;
+mod fraction;
 mod pair;
 mod pairs;
 mod ray;

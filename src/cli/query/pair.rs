@@ -8,7 +8,7 @@ use pvmap::query::exact::{Exact, Verdict};
 use pvmap::query::{Located, PairAnswer, Place};
 use serde_json::{Value, json};
 
-use super::{Asked, Outcome, commas, parse_distance, parse_point, place, segment};
+use super::{Asked, Outcome, commas, fraction, parse_distance, parse_point, place, segment};
 use crate::cli::exact::PointsArgs;
 
 /// Do two places see each other? Exit 0 for yes, 1 for no
@@ -36,6 +36,10 @@ the places, that settles it.
   leaves    whether the surfels say the same
   segment   what settles it: the link, or a surfel that blocks
 
+With --fraction, of a map that was built with --fractions, it is told how much the two surfels see
+of each other: 0 to 1, in sixteenths. The answer stays that of their centres.
+  fraction  the share, and between which nodes sixteen segments were tried, if they were
+
 With --exact the answer is that of the scan's points nearest to the two places: no if so many
 others have tangent planes that cross the line between them so near to themselves, away from both
 ends. What the surfels say is told beside it.
@@ -46,6 +50,7 @@ Examples:
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --normal1 0,0,1 --snap 0.2 --json
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --segment
+  pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --fraction
   pvmap query grotto.vmap pair 1.5,2,0.3 -4,5,6 --exact --delta 0.02 --k 2")]
 pub(super) struct Args {
     /// One place, in the scan's units
@@ -69,6 +74,10 @@ pub(super) struct Args {
     /// centres of their surfels: right more often, and slower
     #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
     segment: bool,
+    /// Tell how much the surfels see of each other, too, where the map was
+    /// built with --fractions
+    #[arg(long, conflicts_with_all = ["exact", "segment"], verbatim_doc_comment)]
+    fraction: bool,
     #[command(flatten)]
     points: PointsArgs,
     /// Answer as one JSON object
@@ -77,6 +86,9 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    if args.fraction {
+        fraction::require(asked)?;
+    }
     let places = [place(args.a, args.normal1), place(args.b, args.normal2)];
     let a = asked.locate(&places[0], args.snap)?;
     let b = asked.locate(&places[1], args.snap)?;
@@ -88,6 +100,10 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
             let ends = [spot(&places[0], a)?, spot(&places[1], b)?];
             Some(asked.named(asked.map.pair_by_segment(&ends[0], &ends[1]))?)
         }
+        false => None,
+    };
+    let fraction = match args.fraction {
+        true => Some(asked.named(asked.map.pair_fraction(&a, &b))?),
         false => None,
     };
     let of_segment = segment.as_ref().map(|answer| answer.visible);
@@ -117,6 +133,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         if let Some(segment) = &segment {
             segment::add_to(&mut object, segment);
         }
+        if let Some(fraction) = &fraction {
+            fraction::add_to(&mut object, fraction);
+        }
         asked.print_json(object)?;
     } else {
         let mut out = io::stdout().lock();
@@ -130,6 +149,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
         }
         if let Some(segment) = &segment {
             writeln!(out, "  segment   {}", segment::words(segment.settled_by))?;
+        }
+        if let Some(fraction) = &fraction {
+            fraction::write(&mut out, fraction)?;
         }
         write_leaves(&mut out, [&a, &b], &answer)?;
         for (i, [low, high]) in cells.into_iter().flatten().enumerate() {

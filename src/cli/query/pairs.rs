@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 use super::batch::{self, Batch, Columns, Header, RowError, numbers, numbers_if_any};
+use super::fraction::{self, FractionPairs};
 use super::segment::SegmentPairs;
 use super::{Asked, Outcome, pair, parse_distance, place, snap_of};
 use crate::cli::exact::{Points, PointsArgs};
@@ -30,10 +31,11 @@ Output columns:
   leaves                        with --segment or --exact, where visible is what the segment or
                                 the points nearest to the places say: the same by the surfels
   blocker                       with --segment: a surfel that blocks the segment, if one does
+  fraction                      with --fraction: how much the surfels see of each other, 0 to 1
   error                         why there is no answer
 
 With --exact it says at the end, on stderr, how often surfels and points disagree. pvmap query
-MAP pair --help tells what --segment and --exact ask, and what they are for.
+MAP pair --help tells what --segment, --fraction and --exact ask, and what they are for.
 
 It ends with 0 once every row is answered, and with 65 at a row that is no text or longer than
 64 KiB.
@@ -56,6 +58,10 @@ pub(super) struct Args {
     /// centres of their surfels: right more often, and slower
     #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
     segment: bool,
+    /// Tell how much the surfels see of each other, too, where the map was
+    /// built with --fractions
+    #[arg(long, conflicts_with_all = ["exact", "segment"], verbatim_doc_comment)]
+    fraction: bool,
     #[command(flatten)]
     points: PointsArgs,
     /// Most memory that the map may be kept in: a long table is then
@@ -79,6 +85,9 @@ const KEEP_ROWS: usize = 1 << 16;
 const EXPECTED: &str = "x1,y1,z1,x2,y2,z2, and nx1,ny1,nz1,nx2,ny2,nz2 to choose sides";
 
 pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
+    if args.fraction {
+        fraction::require(asked)?;
+    }
     let (rows, columns) = batch::open(&args.rows, |header| {
         Ok([
             PlaceColumns::find(header, ["x1", "y1", "z1"], ["nx1", "ny1", "nz1"], EXPECTED)?,
@@ -95,6 +104,9 @@ pub(super) fn run(asked: &Asked<'_, '_>, args: &Args) -> Outcome {
     };
     if args.segment {
         return batch::answer(rows, &SegmentPairs(pairs), args.json, asked.progress);
+    }
+    if args.fraction {
+        return batch::answer(rows, &FractionPairs(pairs), args.json, asked.progress);
     }
     if !args.points.exact {
         return batch::answer(rows, &pairs, args.json, asked.progress);

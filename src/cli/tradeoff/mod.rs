@@ -41,13 +41,14 @@ the triangles of --truth, asked as pvmap accuracy asks them. Without either the 
 answer, as with pvmap query MAP pair --exact; that is a reference and not truth, and is called so.
 A scan file is ingested with default options; for others give the octree of pvmap ingest.
 
-Settings: without any of the options from --config to --min-form-factor, some twenty settings
+Settings: without any of the options from --config to --fractions, some twenty settings
 around depth8, most with one thing changed. With several values the settings are all combinations
 of them: --max-level 7,8 --leaf-capacity 50,100 are four. What is not given stays as --config has
 it; with several configurations each of them is combined. A setting whose build takes longer than
 --limit is stopped, and one that would take far longer, by those built before it, is not begun.
 Settings that cut the same tree have the same map: it is built once, and the others' rows say as
-which. What is approximate, by an opening angle or a least form factor, has colors of its own.
+which. What is approximate, by an opening angle, a least form factor or a least exchange, has colors
+of its own.
 
 Columns, with 95 % intervals (Wilson):
   seconds              from the octree to the finished map; of several --runs the least
@@ -58,6 +59,8 @@ Columns, with 95 % intervals (Wilson):
   wrongly visible      of the pairs that face each other: the map says yes, the truth no
   wrongly invisible    of the same pairs: the map says no, the truth yes
   error, both          the two together
+  squared error        in CSV and JSON: how much is said to be seen, 0 to 1, less 1 or 0 in truth,
+                       squared, on average; other than the error only with visible fractions
 With --segment each map has a second row, asked as pvmap query MAP pair --segment asks it: the build
 is the same, query and error are its own.
 With --cpu seconds are those of all its threads together (CSV and JSON have both anyway). A star
@@ -152,6 +155,13 @@ pub(super) struct Args {
     /// Least form factors to try, 0 to 1, with commas; 0 is exact
     #[arg(long, value_delimiter = ',', value_name = "F")]
     min_form_factor: Vec<f64>,
+    /// Least exchanges to try, 0 to 1, with commas; 0 is exact
+    #[arg(long, value_delimiter = ',', value_name = "SHARE")]
+    min_exchange: Vec<f64>,
+    /// Build each map with visible fractions, too, and answer by them: yes
+    /// where half or more is seen
+    #[arg(long, verbatim_doc_comment)]
+    fractions: bool,
     /// Ask each map by the segments between the points, too: rows of their
     /// own
     #[arg(long, verbatim_doc_comment)]
@@ -291,6 +301,8 @@ fn axes(args: &Args) -> Axes {
         spacing: args.spacing.clone(),
         opening_angle: args.opening_angle.clone(),
         min_form_factor: args.min_form_factor.clone(),
+        min_exchange: args.min_exchange.clone(),
+        fractions: if args.fractions { vec![false, true] } else { Vec::new() },
     }
 }
 
@@ -379,7 +391,11 @@ fn ask(
 ) -> Result<Built, Error> {
     let bytes = Mapped::open(path)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(path, e))?;
-    let way = if setting.by_segment { Way::segments(&map) } else { Way::leaves(&map) };
+    let way = match (setting.by_segment, setting.config.fractions) {
+        (true, _) => Way::segments(&map),
+        (false, true) => Way::fractions(&map),
+        (false, false) => Way::leaves(&map),
+    };
     let tally = sample.ask_by(way, clock_of(args), watch).map_err(|e| match e {
         Error::Query(e) => Error::of_query(path, e),
         e => e,
@@ -507,6 +523,8 @@ fn rows_json(rows: &[Row]) -> Vec<Value> {
             "max_spread": setting.config.max_spread,
             "opening_angle": setting.config.approximation.opening_angle,
             "min_form_factor": setting.config.approximation.min_form_factor,
+            "min_exchange": setting.config.approximation.min_exchange,
+            "fractions": setting.config.fractions,
             "outcome": table::outcome_word(&row.outcome),
             "why_not": row.outcome.why_not(),
             "on_front": on_front,
@@ -536,6 +554,7 @@ fn built_json(built: &Built) -> serde_json::Map<String, Value> {
         ("wrongly_visible", share(built.false_visible())),
         ("wrongly_invisible", share(built.false_invisible())),
         ("error", share(built.error())),
+        ("squared_error", json!(built.tally.squared_error())),
     ];
     fields.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()
 }

@@ -9,7 +9,7 @@ use pvmap_geometry::{Box3, Frame, GridPoint, Rect, morton};
 use pvmap_vmap::container::{BLOCK_BYTES, Written, align, head_bytes};
 use pvmap_vmap::frame::{CrsKind, FrameRecord};
 use pvmap_vmap::links::LinkEncoder;
-use pvmap_vmap::map::{RECTS_SECTION, SECTIONS, close_map};
+use pvmap_vmap::map::{close_map, section_names};
 use pvmap_vmap::records::{LinkBlock, NO_PARENT, Record};
 use pvmap_vmap::tree::{fill_overhangs, root_node};
 use pvmap_vmap::{MapConfig, MapSummary, Node, Shape, Spacing, Split, Surfel, Tree};
@@ -219,6 +219,7 @@ impl Parts {
             n_links: links.len() as u64,
             n_visible_pairs: links.iter().map(|&l| n_leaf_pairs(tree, l)).sum(),
             digest: 7,
+            n_partials: 0,
         };
         let config = MapConfig {
             max_level: 21,
@@ -230,6 +231,8 @@ impl Parts {
             interaction_pairs: given.then_some((3, 5)),
             opening_angle: 0.0,
             min_form_factor: 0.0,
+            min_exchange: 0.0,
+            fractions: false,
         };
         let frame = FrameRecord { frame, crs_kind: CrsKind::None };
         let contents = [
@@ -244,7 +247,7 @@ impl Parts {
         ];
         let rects = (profile == Profile::Oriented)
             .then(|| (Rect::BYTES, tree.rects.iter().flat_map(Record::to_bytes).collect()));
-        let names = SECTIONS.into_iter().chain([RECTS_SECTION]);
+        let names = section_names(profile, false).into_iter();
         let named = names.zip(contents.into_iter().chain(rects));
         Parts { sections: named.map(|(name, (size, bytes))| (name, size as u32, bytes)).collect() }
     }

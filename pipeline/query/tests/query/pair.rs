@@ -92,7 +92,7 @@ fn d11_frames_beyond_the_cache_are_decoded_again() {
     let links = random_links(&mut rng, &tree, &siblings(&tree), 255);
     let file = Parts::new(&tree, &links, About { links_per_frame: 12, ..About::default() }).seal();
     let map = Map::open(&file).unwrap();
-    assert!(map.view().n_link_blocks() > 2400, "twice the frames that are kept");
+    assert!(map.view().links().n_blocks() > 2400, "twice the frames that are kept");
     std::thread::scope(|scope| {
         for thread in 0..4 {
             let (map, tree, links) = (&map, &tree, &links);

@@ -118,7 +118,7 @@ fn d11_what_the_first_leaf_sees_is_in_the_frames_of_the_nodes_over_it() {
     let leaf = at(&tree, 0);
     let over: Vec<u32> = (0..=leaf.node).collect();
     let needed = links.chunks(12).filter(|c| c.iter().any(|l| over.contains(&l.0))).count() as u64;
-    assert!(map.view().n_link_blocks() > 20 * needed, "{needed}");
+    assert!(map.view().links().n_blocks() > 20 * needed, "{needed}");
     map.visible_from(&leaf).unwrap();
     assert!(map.n_frames_decoded() <= needed, "{} of {needed}", map.n_frames_decoded());
     assert!(map.view().file().n_blocks_read() > 0);

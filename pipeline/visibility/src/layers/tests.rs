@@ -79,7 +79,8 @@ fn grow(tree: &mut Tree, leaves: &[Surfel], parent: u32, level: u8) {
 }
 
 fn sorted(tree: &Tree, angle: f64, form_factor: f64) -> Vec<Layer<'_>> {
-    let what = Approximation { opening_angle: angle, min_form_factor: form_factor };
+    let what =
+        Approximation { opening_angle: angle, min_form_factor: form_factor, min_exchange: 0.0 };
     layers(tree, &[(0, 0)], &what, Spacing::Leaf, 1 << 30).unwrap()
 }
 
@@ -225,7 +226,7 @@ fn no_leaf_pair_of_a_large_form_factor_is_left_out() {
 #[test]
 fn d9_what_does_not_fit_is_refused() {
     let tree = random_tree(&mut Rng::with_seed(1));
-    let what = Approximation { opening_angle: 0.2, min_form_factor: 0.0 };
+    let what = Approximation { opening_angle: 0.2, ..Approximation::default() };
     let of = |bytes| layers(&tree, &[(0, 0)], &what, Spacing::Leaf, bytes).map(|l| l.len());
     assert!(matches!(of(1 << 10), Err(StoreError::Budget { .. })));
     let nodes_only = 4 * (tree.nodes.len() as u64 * NODE_BYTES + START_BYTES);

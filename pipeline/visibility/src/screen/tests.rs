@@ -108,10 +108,10 @@ fn v2_a_sheet_never_contradicts_its_surfels() {
         screen.ask(&sheet, &discs, profile, [rows, columns], &mut open);
         for (row, asked) in asked.iter().enumerate() {
             for column in bits(*asked) {
-                let (a, b) = (&discs[rows.surfel(row)], &discs[columns.surfel(column)]);
+                let (a, b) = (rows.disc(row, &discs), columns.disc(column, &discs));
                 let is_end = |k: &Disc| k.centroid == a.centroid || k.centroid == b.centroid;
                 let mut members = discs[..n_sheet].iter().filter(|k| !is_end(k));
-                let is_blocked = members.any(|k| disc::blocks(profile, a, b, k));
+                let is_blocked = members.any(|k| disc::blocks(profile, &a, &b, k));
                 let is_open = open[row] >> column & 1 == 1;
                 let is_unsure = screen.unsure[row] >> column & 1 == 1;
                 assert!(!is_unsure || is_open, "unsure and closed");

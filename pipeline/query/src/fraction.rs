@@ -1,0 +1,70 @@
+//! How much of each other the leaves of two places see. Source: FORMAT.md [F-24].
+
+use pvmap_vmap::Partial;
+use pvmap_vmap::partial::SEGMENTS;
+
+use crate::error::QueryError;
+use crate::frames::Lookup;
+use crate::locate::Located;
+use crate::map::Map;
+use crate::pair::PairAnswer;
+
+/// How much two leaves see of each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FractionAnswer {
+    /// Free segments, 0 to 16, of the sixteen that were tried or would be.
+    pub n_free: u8,
+    /// The nodes between which they were tried, seen from the two places in the order they were
+    /// given; none where the links say all of it.
+    pub tried: Option<(u32, u32)>,
+    /// What [`Map::pair`] says.
+    pub by_leaves: PairAnswer,
+}
+
+impl FractionAnswer {
+    /// Gives the visible fraction, 0 to 1.
+    pub fn fraction(&self) -> f64 {
+        f64::from(self.n_free) / f64::from(SEGMENTS)
+    }
+}
+
+impl Map<'_> {
+    /// Says whether the map was built with visible fractions.
+    pub fn has_fractions(&self) -> bool {
+        self.view().partials().is_some()
+    }
+
+    /// Gives how much the leaves of two located places see of each other; without visible fractions
+    /// in the map all or nothing.
+    ///
+    /// # Errors
+    /// Those of [`Map::pair`].
+    pub fn pair_fraction(&self, a: &Located, b: &Located) -> Result<FractionAnswer, QueryError> {
+        self.fraction_with(&mut Lookup::new(self), Lookup::of_partials(self).as_mut(), a, b)
+    }
+
+    /// Does what [`Map::pair_fraction`] does; the lookups may have the right frames at hand.
+    pub(crate) fn fraction_with(
+        &self,
+        links: &mut Lookup<'_, '_>,
+        partials: Option<&mut Lookup<'_, '_>>,
+        a: &Located,
+        b: &Located,
+    ) -> Result<FractionAnswer, QueryError> {
+        let by_leaves = self.pair_with(links, a, b)?;
+        if let Some(partials) = partials
+            && a.node != b.node
+        {
+            for (x, y) in self.links_over(links, a, b)?.iter() {
+                let found = partials.partner_from(x, Partial::first_of(y))?;
+                let found = found.and_then(|numbers| Partial::of_pair((x, numbers)));
+                if let Some(Partial { n_free, .. }) = found.filter(|partial| partial.b == y) {
+                    let tried = Some(if a.node < b.node { (x, y) } else { (y, x) });
+                    return Ok(FractionAnswer { n_free, tried, by_leaves });
+                }
+            }
+        }
+        let n_free = if by_leaves.visible { SEGMENTS } else { 0 };
+        Ok(FractionAnswer { n_free, tried: None, by_leaves })
+    }
+}
