@@ -128,7 +128,8 @@ pub fn build(
         vec![Layer::all(tree, starts)]
     } else {
         let memory_bytes = options.memory_bytes;
-        let layers = layers(tree, &starts, &options.approximation, options.spacing, memory_bytes)?;
+        let layers =
+            layers(tree, &starts, &options.approximation, options.spacing, memory_bytes, watch)?;
         let trees: Vec<&Tree> = layers.iter().map(|layer| &*layer.tree).collect();
         let lists_bytes = layers.iter().map(Layer::lists_bytes).sum::<u64>();
         shares = Shares::new(&trees, given_bytes + lists_bytes, memory_bytes)?;
@@ -139,18 +140,18 @@ pub fn build(
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
     require_disk(work.path(), least_output_bytes(input, options.profile) + shares.mapped_bytes)?;
-    watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
+    let n_nodes: usize = layers.iter().map(|layer| layer.tree.nodes.len()).sum();
+    watch.stage("prepare", Some(n_nodes as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
     let ground = |layer: &Layer<'_>| {
         let sheets_bytes = shares.sheets_bytes / layers.len() as u64;
-        Ground::new(&layer.tree, layer.profile(options.profile), sheets_bytes, folder)
+        Ground::new(&layer.tree, layer.profile(options.profile), sheets_bytes, folder, watch)
     };
     let grounds: Vec<Ground> = layers.iter().map(ground).collect::<Result<_, _>>()?;
     let both = layers.iter().zip(&grounds);
     let scenes: Vec<Scene<'_>> =
         both.map(|(layer, ground)| ground.scene(layer, options.profile)).collect();
-    watch.advance(tree.nodes.len() as u64);
     let n_pairs_of = |layer: &Layer<'_>| {
         layer.starts.iter().map(|&pair| n_leaf_pairs(&layer.tree, pair)).sum::<u64>()
     };
@@ -210,6 +211,7 @@ impl Ground {
         profile: Profile,
         sheets_bytes: u64,
         folder: Option<&Path>,
+        watch: &dyn Watch,
     ) -> Result<Ground, StoreError> {
         let nothing = Disc {
             centroid: [0; 3],
@@ -223,8 +225,9 @@ impl Ground {
         let all = discs.par_iter_mut().enumerate();
         all.for_each(|(id, disc)| *disc = tree.disc(id as u32, profile));
         let bounds = bounds::of_tree(tree, &discs, profile, folder)?;
-        let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
+        let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes, watch)?;
         let families = candidates::families(tree, &bounds, &sheets, folder)?;
+        watch.advance(tree.nodes.len() as u64);
         Ok(Ground { discs, bounds, sheets, families })
     }
 

@@ -242,10 +242,11 @@ mod tests {
     use super::*;
     use crate::candidates::families;
     use crate::interaction::sibling_pairs;
-    use crate::tasks::{Plan, PlanLimits, n_leaf_pairs, target_of};
+    use crate::layers::Layer;
+    use crate::tasks::{Plan, PlanLimits, Plans, n_leaf_pairs, target_of};
     use fastrand::Rng;
     use pvmap_geometry::{Box3, disc, morton, normal};
-    use pvmap_store::Table;
+    use pvmap_store::{Quiet, Table};
     use pvmap_vmap::records::NO_PARENT;
     use pvmap_vmap::{Node, Split};
 
@@ -367,7 +368,8 @@ mod tests {
             // For all sheets, or for one.
             let memory_bytes = if n % 8 == 1 { Sheets::A_SHEET_BYTES } else { u64::MAX };
             let bounds = bounds::of_tree(&grown.tree, &grown.discs, profile, folder).unwrap();
-            let (sheets, _) = Sheets::all(&grown.tree, &grown.discs, &bounds, memory_bytes);
+            let (tree, discs) = (&grown.tree, &grown.discs);
+            let (sheets, _) = Sheets::all(tree, discs, &bounds, memory_bytes, &Quiet).unwrap();
             let families = families(&grown.tree, &bounds, &sheets, folder).unwrap();
             Stage { grown, profile, bounds, sheets, families }
         }
@@ -487,7 +489,7 @@ mod tests {
             let discs = (0..256).map(wall).chain((0..n_others).map(other)).collect();
             let Grown { tree, discs, .. } = Grown::new(discs, true, 0);
             let bounds = bounds::of_tree(&tree, &discs, Profile::Patch, None).unwrap();
-            let sheets = Sheets::new(&tree, &discs, &bounds, memory_bytes);
+            let sheets = Sheets::new(&tree, &discs, &bounds, memory_bytes, &Quiet).unwrap();
             assert_eq!(!sheets.is_empty(), are_asked, "{n_others} others, {memory_bytes} bytes");
         }
     }
@@ -549,5 +551,26 @@ mod tests {
         }
         eprintln!("{n_tasks} tasks that are no start, {n_above} links above tasks");
         assert!(n_tasks > 1000 && n_above > 1000, "{n_tasks} {n_above}");
+    }
+
+    #[test]
+    fn plans_of_more_than_they_may_have_in_all_are_refused() {
+        let stage = Stage::random(&mut Rng::with_seed(8), 700);
+        let (scene, tree) = (stage.scene(), &stage.grown.tree);
+        let (target, limits) = (9, PlanLimits { task_links: 9, memory_bytes: 1 << 30 });
+        let plan = |n_layers: usize, n_planned: u32| {
+            let layers: Vec<Layer<'_>> =
+                (0..n_layers).map(|_| Layer::all(tree, vec![(0, 0)])).collect();
+            let scenes = vec![scene; n_layers];
+            Plans::of_at_most(n_planned, &scenes, &layers, target, &limits).map(|p| p.n_tasks())
+        };
+        let (mut too_few, mut n_of_one) = (0, 1 << 20);
+        while n_of_one - too_few > 1 {
+            let n = (too_few + n_of_one) / 2;
+            *if plan(1, n).is_ok() { &mut n_of_one } else { &mut too_few } = n;
+        }
+        let n_tasks = plan(1, n_of_one).unwrap();
+        assert!(n_of_one > 100 && plan(3, 3 * n_of_one - 1).is_err());
+        assert_eq!(plan(3, 3 * n_of_one).unwrap(), 3 * n_tasks);
     }
 }
