@@ -120,19 +120,17 @@ pub fn build_with(
         checkpoint: checkpoints.every,
         restart: checkpoints.restart,
     };
-    limits.run(|| run(&view, work, &options, watch))?.map_err(named)
+    limits.run(|| run(&view, work, config, &options, watch))?.map_err(named)
 }
 
 fn run(
     view: &OctreeView<'_>,
     work: WorkFolder,
+    config: &BuildConfig,
     options: &BuildOptions,
     watch: &dyn Watch,
 ) -> Result<Built, Error> {
-    let BuildOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing, .. } =
-        *options;
-    let cut_options = CutOptions { max_level, leaf_capacity, max_spread, shape, profile, spacing };
-    let tree = cut(view, &cut_options, cut_memory(options.memory_bytes), watch)?;
+    let tree = cut_tree(view, config, options.memory_bytes, watch)?;
     let (_, crs) = view.crs().map_err(|e: FormatError| Error::Octree(e.into()))?;
     let digest = view.summary().digest;
     let input = MapInput { tree: &tree, frame: view.frame(), crs, digest };

@@ -124,16 +124,62 @@ fn ceil_root(v: u64) -> u64 {
 /// Who sees whom by the definition: pairs of surfels, each once.
 struct Oracle<'a> {
     tree: &'a Tree,
-    angle: f64,
-    profile: Profile,
+    config: &'a BuildConfig,
     deepest: u8,
+    /// The answers of the tree itself where they are known.
+    exact: Option<&'a BTreeSet<(u32, u32)>>,
     sees: BTreeSet<(u32, u32)>,
+    left_out: BTreeSet<(u32, u32)>,
     n_coarse: u64,
 }
 
-impl Oracle<'_> {
+impl<'a> Oracle<'a> {
+    fn ask(
+        tree: &'a Tree,
+        config: &'a BuildConfig,
+        exact: Option<&'a BTreeSet<(u32, u32)>>,
+    ) -> Oracle<'a> {
+        let deepest = tree.nodes.iter().map(|node| node.level).max().unwrap();
+        let (sees, left_out) = Default::default();
+        let mut oracle = Oracle { tree, config, deepest, exact, sees, left_out, n_coarse: 0 };
+        oracle.all(0, false);
+        oracle
+    }
+
+    /// Says whether something under a pair may be left out: it has more than a 2^18th of all pairs.
+    fn is_large(&self, n_pairs: u64) -> bool {
+        let n = self.tree.surfels.len() as u64;
+        let is_asked = self.config.approximation.min_form_factor > 0.0;
+        is_asked && n_pairs > n * (n - 1) / 2 / (1 << 18)
+    }
+
+    /// Says that no two leaves under a pair have the least form factor, by the boxes of their
+    /// centroids and normals.
+    fn is_negligible(&self, a: u32, b: u32) -> bool {
+        let (tree, [near2, _]) = (self.tree, self.distances2(a, b));
+        let [p, q] = [a, b].map(|id| tree.centroids(id));
+        let cosine = |id: u32, from: &Box3, to: &Box3| {
+            let leaves = tree.leaves(id);
+            if leaves.iter().any(|leaf| leaf.two_sided || leaf.normal == [0; 3]) {
+                return 1.0;
+            }
+            let most = |i: usize| {
+                let ways = [to.min[i] - from.max[i], to.max[i] - from.min[i]];
+                let of = |leaf: &Surfel| ways.map(|way| f64::from(way) * f64::from(leaf.normal[i]));
+                leaves.iter().flat_map(of).fold(f64::MIN, f64::max)
+            };
+            ((most(0) + most(1) + most(2)) / (16383.0 * near2.sqrt())).clamp(0.0, 1.0)
+        };
+        let cosines = cosine(a, &p, &q) * cosine(b, &q, &p);
+        let leaves = tree.leaves(a).iter().chain(tree.leaves(b));
+        let area = leaves.map(|leaf| area(leaf, self.config.spacing)).fold(0.0, f64::max);
+        let least = self.config.approximation.min_form_factor;
+        near2 > 0.0 && cosines * area < least * std::f64::consts::PI * near2
+    }
+
     fn level_at(&self, distance2: f64) -> u8 {
-        let is_far = |level: u8| f64::from(1u32 << (22 - level)) <= self.angle * distance2.sqrt();
+        let angle = self.config.approximation.opening_angle;
+        let is_far = |level: u8| f64::from(1u32 << (22 - level)) <= angle * distance2.sqrt();
         (1..self.deepest).find(|&level| is_far(level)).unwrap_or(self.deepest)
     }
 
@@ -141,7 +187,9 @@ impl Oracle<'_> {
     fn all(&mut self, id: u32, is_near: bool) {
         let [_, far2] = self.distances2(id, id);
         let level = self.tree.nodes[id as usize].level;
-        let is_near = is_near || level + 3 >= self.deepest || self.level_at(far2) >= self.deepest;
+        let n = self.tree.leaves(id).len() as u64;
+        let is_open = self.is_large(n * (n - 1) / 2) || self.level_at(far2) < self.deepest;
+        let is_near = is_near || level + 3 >= self.deepest || !is_open;
         let children = self.tree.children(id);
         for (i, &a) in children.iter().enumerate() {
             for &b in &children[i + 1..] {
@@ -166,10 +214,16 @@ impl Oracle<'_> {
     fn pair(&mut self, a: u32, b: u32) {
         let tree = self.tree;
         let [near2, far2] = self.distances2(a, b);
+        if self.config.approximation.min_form_factor > 0.0 && self.is_negligible(a, b) {
+            self.left_out.extend(leaf_pairs(&tree.nodes, (a, b)));
+            return;
+        }
         let [x, y] = [a, b].map(|id| &tree.nodes[id as usize]);
         let below = x.level.max(y.level);
         let level = self.level_at(near2).max(below + 1).min(self.deepest);
-        let is_settled = below + 3 >= level || self.level_at(far2) >= level;
+        let n_pairs = tree.leaves(a).len() * tree.leaves(b).len();
+        let is_open = self.is_large(n_pairs as u64) || self.level_at(far2) < level;
+        let is_settled = below + 3 >= level || !is_open;
         if !is_settled && !x.is_leaf() && !y.is_leaf() {
             for x in tree.kids(a) {
                 tree.kids(b).into_iter().for_each(|y| self.pair(x, y));
@@ -182,7 +236,12 @@ impl Oracle<'_> {
     /// Decides a pair in the tree cut off at a level.
     fn decide(&mut self, a: u32, b: u32, level: u8) {
         let tree = self.tree;
-        let profile = match self.profile {
+        if let Some(exact) = self.exact.filter(|_| level == self.deepest) {
+            let pairs = leaf_pairs(&tree.nodes, (a, b)).into_iter();
+            self.sees.extend(pairs.filter(|pair| exact.contains(pair)));
+            return;
+        }
+        let profile = match self.config.profile {
             Profile::Oriented if level < self.deepest => Profile::Patch,
             profile => profile,
         };
@@ -199,6 +258,12 @@ impl Oracle<'_> {
             }
         }
     }
+}
+
+/// Gives the area that a surfel stands for, grid steps².
+fn area(surfel: &Surfel, spacing: Spacing) -> f64 {
+    let side = if spacing == Spacing::Leaf { 2.0 } else { 8.0 / 3.0 };
+    surfel.n_points as f64 * (side * f64::from(surfel.half_spacing)).powi(2)
 }
 
 /// Lists the pairs of surfels under a pair of nodes, the lower first.
@@ -225,24 +290,23 @@ fn visible(view: &MapView<'_>) -> BTreeSet<(u32, u32)> {
 fn far_pairs_are_decided_in_coarser_trees() {
     let folder = tempfile::tempdir().unwrap();
     let octree = octree_of(&room_cloud(350), folder.path());
-    let mut n_coarse = 0;
+    let (mut n_coarse, mut n_left_out) = (0, 0);
     for profile in [Profile::Patch, Profile::Oriented, Profile::Paper] {
-        for angle in [0.1, 0.3, 1.0] {
-            let config = BuildConfig { profile, leaf_capacity: 0, ..config_of(angle, 0.0) };
+        for (angle, least) in [(0.1, 0.0), (0.3, 0.0), (1.0, 0.0), (0.3, 1e-2)] {
+            let config = BuildConfig { profile, leaf_capacity: 0, ..config_of(angle, least) };
             let bytes = build_with(&octree, &config, &SMALL);
             let view = MapView::open(&bytes).unwrap();
             view.verify().unwrap();
             let (nodes, surfels, _) = contents(&view);
             let tree = Tree { nodes, surfels, rects: common::rects(&view) };
-            let deepest = tree.nodes.iter().map(|node| node.level).max().unwrap();
-            let sees = BTreeSet::new();
-            let mut oracle = Oracle { tree: &tree, angle, profile, deepest, sees, n_coarse: 0 };
-            oracle.all(0, false);
+            let oracle = Oracle::ask(&tree, &config, None);
             assert!(visible(&view) == oracle.sees, "{profile:?}, angle {angle}");
             n_coarse += oracle.n_coarse;
+            n_left_out += oracle.left_out.len();
         }
     }
     assert!(n_coarse > 1000, "{n_coarse} pairs with a unit");
+    assert!(n_left_out > 1000, "{n_left_out} pairs left out");
 }
 
 #[test]
@@ -293,31 +357,34 @@ fn d8_threads_and_memory_do_not_show() {
 }
 
 #[test]
-fn only_pairs_of_small_form_factors_are_left_out() {
+fn pairs_of_small_form_factors_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
-    let octree = octree_of(&room_cloud(3000), folder.path());
+    let octree = octree_of(&room_cloud(8000), folder.path());
+    let least = 3e-3;
     for spacing in [Spacing::Leaf, Spacing::Neighbors] {
         let of = |least: f64| {
-            let config = BuildConfig { spacing, ..config_of(0.0, least) };
-            build_with(&octree, &config, &LIMITS)
+            let config = BuildConfig { spacing, max_level: 10, ..config_of(0.0, least) };
+            let bytes = build_with(&octree, &config, &LIMITS);
+            (config, bytes)
         };
-        let (exact, least) = (of(0.0), 6e-3);
-        let pruned = of(least);
+        let ((_, exact), (config, pruned)) = (of(0.0), of(least));
         let [all, some] = [&exact, &pruned].map(|bytes| visible(&MapView::open(bytes).unwrap()));
-        let (_, surfels, _) = contents(&MapView::open(&exact).unwrap());
-        let side = if spacing == Spacing::Leaf { 2.0 } else { 8.0 / 3.0 };
+        let (nodes, surfels, _) = contents(&MapView::open(&exact).unwrap());
+        assert!(surfels.len() > 1500, "{}: such that pairs are not handed on", surfels.len());
+        let tree = Tree { nodes, surfels, rects: Vec::new() };
+        let oracle = Oracle::ask(&tree, &config, Some(&all));
+        assert!(some == oracle.sees, "{spacing:?}");
         let unhindered = |a: &Surfel, b: &Surfel| {
             let d = [0, 1, 2].map(|i| f64::from(b.centroid[i]) - f64::from(a.centroid[i]));
             let dot = |v: [f64; 3], w: [f64; 3]| (0..3).map(|i| v[i] * w[i]).sum::<f64>();
             let cosine = |n: [i16; 3]| dot(n.map(f64::from), d).abs() / dot(d, d).sqrt() / 16384.0;
-            let area = |s: &Surfel| s.n_points as f64 * (side * f64::from(s.half_spacing)).powi(2);
-            let area = area(a).max(area(b));
+            let area = area(a, spacing).max(area(b, spacing));
             cosine(a.normal) * cosine(b.normal) * area / (std::f64::consts::PI * dot(d, d))
         };
         assert!(some.is_subset(&all));
         let left_out: Vec<f64> = all
             .difference(&some)
-            .map(|&(a, b)| unhindered(&surfels[a as usize], &surfels[b as usize]))
+            .map(|&(a, b)| unhindered(&tree.surfels[a as usize], &tree.surfels[b as usize]))
             .collect();
         let greatest = left_out.iter().copied().fold(0.0, f64::max);
         assert!(left_out.len() > 500 && some.len() > 500, "{} of {}", left_out.len(), all.len());

@@ -160,6 +160,19 @@ fn a_scan_with_defects_shows_them_to_info() {
 }
 
 #[test]
+fn holes_take_a_few_bytes_a_point() {
+    let bench = Bench::new();
+    let of = |defects: &str| {
+        let line = format!("scene empty --points 2M {defects} -o a.ply --progress off");
+        bench.line(&line).ok().anon_bytes
+    };
+    let (plain, with_holes) = (of(""), of("--holes 5%"));
+    // As much to spare for what the system does not give back at once.
+    let allowed = plain + 2 * 2_000_000 * 4;
+    assert!(with_holes <= allowed, "{with_holes} bytes with holes, {plain} without");
+}
+
+#[test]
 fn defects_that_cannot_be_are_refused_in_one_line() {
     let bench = Bench::new();
     bench.line("scene empty --points 1k -o a.ply").ok();
@@ -172,6 +185,12 @@ fn defects_that_cannot_be_are_refused_in_one_line() {
         ("tradeoff empty --uneven 0.1", &["0.1", "ratio"]),
         ("tradeoff empty --density 0", &["--density"]),
         ("scene empty --noise=-1mm -o b.ply", &["-1mm"]),
+        ("scene empty --noise 1e300 -o b.ply", &["1e300", "0 to 1000000 m"]),
+        ("scene empty --holes 1e300 -o b.ply", &["1e300", "0 to 100 %"]),
+        ("scene empty --points 1e300 -o b.ply", &["1e300", "0 to 1000000G"]),
+        ("tradeoff empty --uneven 1e300", &["1e300", "1 to 1000000"]),
+        ("tradeoff empty --no-normals 1e300", &["1e300", "0 to 100 %"]),
+        ("tradeoff empty --density 1e300", &["1e300", "0 to 1000000G"]),
     ] {
         bench.line(&format!("{line} --progress off")).fails(2, words);
     }

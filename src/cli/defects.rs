@@ -4,6 +4,10 @@ use pvmap::scene::Defects;
 
 /// Of a scan so much may be missing.
 const MOST_MISSING: f64 = 0.95;
+/// No length is as long, metres.
+const MOST_LENGTH_M: f64 = 1e6;
+/// No density differs more.
+const MOST_RATIO: f64 = 1e6;
 
 /// What is wrong with a scan.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -78,13 +82,17 @@ pub(super) fn parse_length(text: &str) -> Result<f64, String> {
     let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0)];
     let found = units.iter().find_map(|(unit, by)| Some((text.strip_suffix(unit)?, *by)));
     let (number, by) = found.unwrap_or((text, 1.0));
-    let length = number.trim().parse::<f64>().ok().filter(|v| (0.0..1e6).contains(v));
-    length.map(|v| v / by).ok_or_else(|| format!("{text:?} is no length; write for example 3mm"))
+    let length = number.trim().parse::<f64>().ok().map(|v| v / by);
+    length.filter(|v| (0.0..=MOST_LENGTH_M).contains(v)).ok_or_else(|| {
+        format!("{text:?} is no length of 0 to {MOST_LENGTH_M} m; write for example 3mm")
+    })
 }
 
 pub(super) fn parse_ratio(text: &str) -> Result<f64, String> {
-    let ratio = text.parse().ok().filter(|v| (1.0..=1e6).contains(v));
-    ratio.ok_or_else(|| format!("{text:?} is no ratio of densities; write for example 16"))
+    let ratio = text.parse().ok().filter(|v| (1.0..=MOST_RATIO).contains(v));
+    ratio.ok_or_else(|| {
+        format!("{text:?} is no ratio of densities, 1 to {MOST_RATIO}; write for example 16")
+    })
 }
 
 /// Reads a share, 5% or 0.05.
@@ -92,7 +100,7 @@ pub(super) fn parse_share(text: &str) -> Result<f64, String> {
     let (number, by) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 100.0));
     let share = number.trim().parse::<f64>().ok().map(|v| v / by);
     let share = share.filter(|v| (0.0..=1.0).contains(v));
-    share.ok_or_else(|| format!("{text:?} is no share; write for example 5%"))
+    share.ok_or_else(|| format!("{text:?} is no share of 0 to 100 %; write for example 5%"))
 }
 
 pub(super) fn parse_missing(text: &str) -> Result<f64, String> {
@@ -119,13 +127,15 @@ mod tests {
         for (text, share) in [("5%", 0.05), ("0.05", 0.05), ("100%", 1.0), ("0", 0.0)] {
             assert!(near(parse_share(text), share), "{text}");
         }
-        for bad in ["", "mm", "-1mm", "1 mile", "nan", "inf"] {
-            assert!(parse_length(bad).is_err(), "{bad}");
+        for bad in ["", "mm", "-1mm", "1 mile", "nan", "inf", "1e300", "1000001m", "1.1e9mm"] {
+            assert!(parse_length(bad).unwrap_err().contains("0 to 1000000 m"), "{bad}");
         }
-        for bad in ["", "%", "101%", "-5%", "nan%", "7"] {
-            assert!(parse_share(bad).is_err(), "{bad}");
+        for bad in ["", "%", "101%", "-5%", "nan%", "7", "1e300"] {
+            assert!(parse_share(bad).unwrap_err().contains("0 to 100 %"), "{bad}");
         }
-        assert!(parse_ratio("0.5").is_err() && parse_ratio("nan").is_err());
+        for bad in ["", "0.5", "nan", "1e300"] {
+            assert!(parse_ratio(bad).unwrap_err().contains("1 to 1000000"), "{bad}");
+        }
         assert!(parse_ratio("16") == Ok(16.0));
         assert!(parse_missing("96%").is_err() && near(parse_missing("30%"), 0.3));
     }

@@ -300,7 +300,7 @@ fn parse_count(text: &str) -> Result<u64, String> {
     };
     match number.parse::<f64>() {
         Ok(v) if v >= 0.0 && v * factor < 1e15 => Ok((v * factor).round() as u64),
-        _ => Err(format!("{text:?} is not a number of points; write for example 400k or 20M")),
+        _ => Err(format!("{text:?} is no number of 0 to 1000000G; write for example 400k or 20M")),
     }
 }
 

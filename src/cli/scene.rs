@@ -98,7 +98,7 @@ fn parse_name(name: &str) -> Result<Name, SceneError> {
 /// Reads a length.
 fn parse_size(text: &str) -> Result<f64, String> {
     let size = text.parse().ok().filter(|&v: &f64| v > 0.0 && v.is_finite());
-    size.ok_or_else(|| format!("{text:?} is not a length in metres"))
+    size.ok_or_else(|| format!("{text:?} is no length above 0, in metres"))
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {

@@ -68,12 +68,18 @@ fn decides_alike(a: &Setting, b: &Setting) -> bool {
 }
 
 /// Guesses the seconds of a build from those of the row with the most similar number of leaves,
-/// among those of its tree, profile and mode if there are any: a build takes about as long as there
-/// are pairs of leaves. Nothing before there is a row of at least 1000 leaves.
+/// among those of its tree and profile if there are any: a build takes about as long as there are
+/// pairs of leaves. Only rows count that decide of those pairs what it decides, exactly or as
+/// coarsely; nothing is known before there is one of at least 1000 leaves.
 pub fn expected_seconds(rows: &[Row], setting: &Setting, cut: &CutTree) -> Option<f64> {
-    let of = |s: &Setting| (s.tree(), s.profile(), s.mode());
+    let of = |s: &Setting| (s.tree(), s.profile());
+    let is_like = |s: &Setting| {
+        s.config.approximation == setting.config.approximation
+            && s.config.interaction == setting.config.interaction
+    };
     let ratio = |n_leaves: u64| cut.n_leaves.max(1) as f64 / n_leaves.max(1) as f64;
-    let built = rows.iter().filter_map(|row| Some((&row.setting, row.built()?)));
+    let alike = rows.iter().filter(|row| is_like(&row.setting));
+    let built = alike.filter_map(|row| Some((&row.setting, row.built()?)));
     let many = built.filter(|(_, built)| built.n_leaves >= FEWEST_LEAVES);
     let (_, nearest) = many.min_by(|(a, x), (b, y)| {
         let key = |s: &Setting, n: u64| (of(s) != of(setting), ratio(n).ln().abs());
@@ -121,6 +127,17 @@ mod tests {
         assert_eq!(name(&settings[1], &CutTree { digest: 2, ..cut }), None, "another tree");
         assert_eq!(settings[3].profile(), "paper");
         assert_eq!(name(&settings[3], &cut), None, "another profile");
+    }
+
+    #[test]
+    fn what_is_approximate_is_expected_by_its_own_rows() {
+        let axes = Axes { opening_angle: vec![0.0, 0.06, 0.15], ..Axes::default() };
+        let base = ("depth8".to_owned(), RawConfig::default());
+        let settings = Sweep::of(&[base], &axes).unwrap().settings;
+        let cut = CutTree { n_leaves: 8000, digest: 9 };
+        let rows = [row(&settings[0], 8000, 1, 500.0), row(&settings[1], 4000, 2, 10.0)];
+        let expected = |i: usize| expected_seconds(&rows, &settings[i], &cut);
+        assert_eq!([0, 1, 2].map(expected), [Some(500.0), Some(40.0), None]);
     }
 
     #[test]

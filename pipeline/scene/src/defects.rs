@@ -1,8 +1,10 @@
 //! Points as scanners record them: off their surfaces, uneven, with holes, with wrong normals.
 
+use crate::holes::make_holes;
+use crate::kept::Kept;
 use crate::points::{MOST_POINTS, Points, Sample};
 use crate::random::{bits, unit_pair};
-use crate::vector::{Vector, add_scaled, distance2};
+use crate::vector::add_scaled;
 
 /// What is wrong with the points of a scan; by default nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -41,14 +43,14 @@ const N_NOISE: u64 = 12;
 
 /// Points with [`Defects`]: what is recorded of each, and where on its surface it truly is.
 ///
-/// Like [`Points`] a pure function of (kind, seed, n, defects). Where points are missing, eight
-/// bytes are held for each of those that are not.
+/// Like [`Points`] a pure function of (kind, seed, n, defects). Where points are missing, two
+/// bytes are held for each of those that are not; while holes are made, four.
 #[derive(Debug)]
 pub struct Scan<'a> {
     points: Points<'a>,
     defects: Defects,
     /// Those of the points that are recorded, in order; all where there is none.
-    kept: Option<Vec<u64>>,
+    kept: Option<Kept>,
 }
 
 impl<'a> Points<'a> {
@@ -64,9 +66,13 @@ impl<'a> Points<'a> {
             kept = Some(uneven(&points, defects.unevenness));
         }
         if defects.missing > 0.0 {
-            let mut all = kept.unwrap_or_else(|| (0..points.len()).collect());
-            make_holes(&points, &mut all, defects.missing);
-            kept = Some(all);
+            let all = kept.unwrap_or_else(|| (0..points.len()).collect());
+            let n_left = (all.len() as f64 * (1.0 - defects.missing.min(1.0))) as u64;
+            let radius_m = HOLE_RADIUS * points.scene().extent_m;
+            let (places, chance) = (points.resized(MOST_POINTS), points.sequence(Chance::Holes));
+            let middle_of = |ball| places.at(bits(chance, ball) % MOST_POINTS).position;
+            let place_of = |i| points.at(i).position;
+            kept = Some(make_holes(all, n_left, radius_m, place_of, middle_of));
         }
         Scan { points, defects: *defects, kept }
     }
@@ -82,7 +88,7 @@ impl<'a> Points<'a> {
 }
 
 /// Draws the points that are recorded where density falls to the `ratio`-th part.
-fn uneven(points: &Points<'_>, ratio: f64) -> Vec<u64> {
+fn uneven(points: &Points<'_>, ratio: f64) -> Kept {
     let [low, high] = points.scene().x_range();
     let steep = ratio.sqrt() - 1.0;
     let is_kept = |&i: &u64| {
@@ -93,26 +99,10 @@ fn uneven(points: &Points<'_>, ratio: f64) -> Vec<u64> {
     (0..points.len()).filter(is_kept).collect()
 }
 
-/// Takes points away, a ball after the other, until at least such a share of them is missing.
-fn make_holes(points: &Points<'_>, kept: &mut Vec<u64>, share: f64) {
-    let n_left = (kept.len() as f64 * (1.0 - share.min(1.0))) as usize;
-    let radius_m = HOLE_RADIUS * points.scene().extent_m;
-    let places = points.resized(MOST_POINTS);
-    let mut left: Vec<(u64, Vector)> = kept.iter().map(|&i| (i, points.at(i).position)).collect();
-    for ball in 0.. {
-        if left.len() <= n_left {
-            break;
-        }
-        let middle = places.at(bits(points.sequence(Chance::Holes), ball) % MOST_POINTS).position;
-        left.retain(|(_, p)| distance2(*p, middle) > radius_m * radius_m);
-    }
-    *kept = left.into_iter().map(|(i, _)| i).collect();
-}
-
 impl<'a> Scan<'a> {
     /// Counts the points.
     pub fn len(&self) -> u64 {
-        self.kept.as_ref().map_or(self.points.len(), |kept| kept.len() as u64)
+        self.kept.as_ref().map_or(self.points.len(), Kept::len)
     }
 
     /// Says whether there is no point.
@@ -155,7 +145,7 @@ impl<'a> Scan<'a> {
     }
 
     fn truly_of(&self, index: u64) -> (u64, Sample) {
-        let i = self.kept.as_ref().map_or(index, |kept| kept[index as usize]);
+        let i = self.kept.as_ref().map_or(index, |kept| kept.at(index));
         (i, self.points.at(i))
     }
 

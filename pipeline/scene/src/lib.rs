@@ -5,8 +5,8 @@
 //! thousand triangles around the void of an implicit field (`cave`, `noise`, `polygonise`); models
 //! that others have read from files stand in a room as statues (`mesh`).
 //! Points are sampled from the surfaces in the order of a scanner or shuffled (`points`), and may
-//! be recorded with noise, holes and wrong normals (`defects`); the truth is asked of the surfaces
-//! themselves (`truth`), never of the points.
+//! be recorded with noise, holes and wrong normals (`defects`, `holes`, `kept`); the truth is asked
+//! of the surfaces themselves (`truth`), never of the points.
 //!
 //! The room opens no file, prints nothing and knows nothing of grids, trees or maps. Points are
 //! the same bits on every host: they come from integer hashes, from + - × ÷ √ alone, and from no
@@ -17,6 +17,8 @@
 mod bvh;
 mod cave;
 mod defects;
+mod holes;
+mod kept;
 mod kind;
 mod mesh;
 mod noise;

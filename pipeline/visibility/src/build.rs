@@ -134,7 +134,7 @@ pub fn build(
     }
     let mut saved = plan_of(input, &config);
     let layers = if approximation.is_layered() {
-        layers(tree, &starts, approximation, options.spacing, memory_bytes)?
+        layers(tree, &starts, approximation, options.spacing, memory_bytes, watch)?
     } else {
         vec![Layer::all(tree, starts)]
     };
@@ -157,17 +157,17 @@ pub fn build(
     }
     let begun = Begun::find(&mut work, &saved, watch)?;
     require_disk(work.path(), least_output_bytes(input, &config) + shares.mapped_bytes)?;
-    watch.stage("prepare", Some(tree.nodes.len() as u64), "nodes");
+    let n_nodes: usize = layers.iter().map(|layer| layer.tree.nodes.len()).sum();
+    watch.stage("prepare", Some(n_nodes as u64), "nodes");
     let folder = work.path().to_path_buf();
     let folder = Some(folder.as_path()).filter(|_| shares.mapped_bytes > 0);
     let ground = |layer: &Layer<'_>| {
         let sheets_bytes = shares.sheets_bytes / layers.len() as u64;
-        Ground::new(layer, options, sheets_bytes, folder)
+        Ground::new(layer, options, sheets_bytes, folder, watch)
     };
     let grounds: Vec<Ground> = layers.iter().map(ground).collect::<Result<_, _>>()?;
     let both = layers.iter().zip(&grounds);
     let scenes: Vec<Scene<'_>> = both.map(|(layer, ground)| ground.scene(layer, options)).collect();
-    watch.advance(tree.nodes.len() as u64);
     let n_pairs_of = |layer: &Layer<'_>| {
         layer.starts.iter().map(|&pair| n_leaf_pairs(&layer.tree, pair)).sum::<u64>()
     };
@@ -228,6 +228,7 @@ impl Ground {
         options: &BuildOptions,
         sheets_bytes: u64,
         folder: Option<&Path>,
+        watch: &dyn Watch,
     ) -> Result<Ground, StoreError> {
         let (tree, profile) = (&*layer.tree, layer.profile(options.profile));
         let nothing = Disc {
@@ -242,10 +243,11 @@ impl Ground {
         let all = discs.par_iter_mut().enumerate();
         all.for_each(|(id, disc)| *disc = tree.disc(id as u32, profile));
         let bounds = bounds::of_tree(tree, &discs, profile, options.fractions, folder)?;
-        let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes);
+        let sheets = Sheets::new(tree, &discs, &bounds, sheets_bytes, watch)?;
         let families = candidates::families(tree, &bounds, &sheets, folder)?;
         let least = options.approximation.min_exchange;
         let exchange = (least > 0.0).then(|| Exchange::new(tree, options.spacing, least));
+        watch.advance(tree.nodes.len() as u64);
         Ok(Ground { discs, bounds, sheets, families, exchange })
     }
 

@@ -20,14 +20,15 @@ use std::f64::consts::PI;
 
 use pvmap_geometry::disc::Profile;
 use pvmap_geometry::{Box3, normal};
-use pvmap_store::StoreError;
 use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
+use pvmap_store::{StoreError, Watch};
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::{Node, Partial, Spacing, Split, Surfel, Tree};
 
 use crate::partials;
 use crate::shares::fixed_bytes;
+use crate::tasks::n_leaf_pairs;
 
 /// What may be left out or seen coarsely; 0 for nothing.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -108,6 +109,13 @@ impl<'a> Layer<'a> {
 /// 64 units each, which are decided together.
 const LEVELS_ABOVE: u8 = 3;
 
+/// A pair is handed on to see what below it has too small a form factor while it has more than one
+/// in so many of all leaf pairs: the list of pairs has some millions of entries at most.
+const FORM_FACTOR_PARTS: u64 = 1 << 18;
+
+/// Nodes or node pairs between two looks at whether to stop: some 10 ms.
+const LOOK_EVERY: usize = 4096;
+
 /// Bytes a node and a start take while pairs are sorted; a list may have as much room to grow.
 const NODE_BYTES: u64 = (size_of::<Extent>() + 2 * size_of::<u32>()) as u64;
 const START_BYTES: u64 = 2 * size_of::<Pair>() as u64;
@@ -115,36 +123,48 @@ const START_BYTES: u64 = 2 * size_of::<Pair>() as u64;
 /// Sorts the pairs to decide into layers, the coarsest first, the tree itself last.
 ///
 /// # Errors
-/// Where sorting them needs more than a quarter of the memory, or the trees of the layers need more
-/// than there is.
+/// Where sorting them needs more than a quarter of the memory, the trees of the layers need more
+/// than there is, or the run is asked to stop.
 pub fn layers<'a>(
     tree: &'a Tree,
     starts: &[Pair],
     approximation: &Approximation,
     spacing: Spacing,
     memory_bytes: u64,
+    watch: &dyn Watch,
 ) -> Result<Vec<Layer<'a>>, StoreError> {
     let need_bytes = tree.nodes.len() as u64 * NODE_BYTES;
     let have_bytes = memory_bytes / 4;
     require("the layers of an approximate build", need_bytes, have_bytes)?;
+    let n_pairs = starts.iter().map(|&pair| n_leaf_pairs(tree, pair)).sum();
+    watch.stage("layers", Some(n_pairs), "pairs");
     let deepest = tree.nodes.iter().map(|node| node.level).max().unwrap_or(0);
+    let n_leaves = tree.surfels.len() as u64;
     let mut sorter = Sorter {
         tree,
         approximation: *approximation,
         extents: extents(tree, spacing),
         deepest,
+        part: n_leaves * n_leaves.saturating_sub(1) / 2 / FORM_FACTOR_PARTS,
         of_level: vec![Vec::new(); usize::from(deepest) + 1],
         n_starts: 0,
         most_starts: (have_bytes - need_bytes) / START_BYTES,
+        n_sorted: 0,
+        n_settled: 0,
+        watch,
     };
     starts.iter().try_for_each(|&(a, b)| sorter.sort(a, b))?;
+    watch.advance(sorter.n_settled);
     let Sorter { mut of_level, extents, n_starts, .. } = sorter;
     drop(extents);
     let near = of_level.pop().unwrap_or_default();
     let mut held_bytes = fixed_bytes(tree) + n_starts * size_of::<Pair>() as u64;
     let mut layers = Vec::new();
+    let n_coarse = of_level.iter().filter(|starts| !starts.is_empty()).count();
+    watch.stage("coarser trees", Some((n_coarse * tree.nodes.len()) as u64), "nodes");
     for (starts, level) in of_level.into_iter().zip(0..).filter(|(starts, _)| !starts.is_empty()) {
-        let layer = cut_off(tree, level, starts, memory_bytes.saturating_sub(held_bytes))?;
+        let have_bytes = memory_bytes.saturating_sub(held_bytes);
+        let layer = cut_off(tree, level, starts, have_bytes, watch)?;
         held_bytes += fixed_bytes(&layer.tree) + (layer.nodes.len() * size_of::<u32>()) as u64;
         layers.push(layer);
     }
@@ -246,9 +266,15 @@ struct Sorter<'a> {
     extents: Vec<Extent>,
     /// Level of the deepest leaf: that of the last layer.
     deepest: u8,
+    /// Leaf pairs up to which a pair is not handed on for its form factor.
+    part: u64,
     of_level: Vec<Vec<Pair>>,
     n_starts: u64,
     most_starts: u64,
+    /// Node pairs looked at, and leaf pairs settled since the last look at whether to stop.
+    n_sorted: usize,
+    n_settled: u64,
+    watch: &'a dyn Watch,
 }
 
 impl Sorter<'_> {
@@ -259,19 +285,28 @@ impl Sorter<'_> {
         let level = tree.nodes[a as usize].level.max(tree.nodes[b as usize].level);
         let [from, to] = [a, b].map(|id| &self.extents[id as usize]);
         let (near2, far2) = (nearest2(&from.centroids, &to.centroids), farthest2(from, to));
-        if a != b && self.is_negligible(from, to, near2) {
+        let n_pairs = n_leaf_pairs(tree, (a, b));
+        self.n_sorted += 1;
+        if self.n_sorted.is_multiple_of(LOOK_EVERY) {
+            self.watch.check()?;
+            self.watch.advance(std::mem::take(&mut self.n_settled));
+        }
+        if n_pairs == 0 || (a != b && self.is_negligible(from, to, near2)) {
+            self.n_settled += n_pairs;
             return Ok(());
         }
         // Quadrants are as deep as the node they are of: it must not be a unit.
         let of_layer = if a == b { self.deepest } else { self.level_at(near2).max(level + 1) };
         let is_leaf = tree.nodes[a as usize].is_leaf() || tree.nodes[b as usize].is_leaf();
-        // Below, some pairs may be farther, and go to a coarser layer or be left out.
-        let is_open = self.approximation.min_form_factor > 0.0 || self.level_at(far2) < of_layer;
+        // Below, some pairs may be left out, or be farther and go to a coarser layer.
+        let is_open = (self.approximation.min_form_factor > 0.0 && n_pairs > self.part)
+            || self.level_at(far2) < of_layer;
         if is_leaf || !is_open || level.saturating_add(LEVELS_ABOVE) >= of_layer {
             self.n_starts += 1;
             let (need, have) = (self.n_starts * START_BYTES, self.most_starts * START_BYTES);
             require("the pairs of an approximate build", need, have)?;
             self.of_level[usize::from(of_layer.min(self.deepest))].push((a, b));
+            self.n_settled += n_pairs;
             return Ok(());
         }
         let all = tree.kids(a).flat_map(|x| tree.kids(b).map(move |y| (x, y)));
@@ -310,16 +345,21 @@ fn farthest2(a: &Extent, b: &Extent) -> f64 {
 /// Cuts a tree off at a level.
 ///
 /// # Errors
-/// Where what is left of the tree needs more memory than it may take.
+/// Where what is left of the tree needs more memory than it may take, or the run is asked to stop.
 fn cut_off(
     tree: &Tree,
     level: u8,
     starts: Vec<Pair>,
     memory_bytes: u64,
+    watch: &dyn Watch,
 ) -> Result<Layer<'static>, StoreError> {
     // Counted first, so that nothing has spare room or is begun that does not fit.
-    let (n_nodes, n_surfels) = left_of(tree, level)
-        .fold((0, 0), |(n, of_them), (_, unit)| (n + 1, of_them + usize::from(unit.is_some())));
+    let (mut n_nodes, mut n_surfels) = (0, 0);
+    for (_, unit) in left_of(tree, level) {
+        look(n_nodes, watch)?;
+        n_nodes += 1;
+        n_surfels += usize::from(unit.is_some());
+    }
     let of_nodes = n_nodes * (size_of::<Node>() + size_of::<u32>());
     let places = tree.nodes.len() * size_of::<u32>();
     let need_bytes = (of_nodes + n_surfels * size_of::<Surfel>() + places) as u64;
@@ -331,7 +371,11 @@ fn cut_off(
         ..Tree::default()
     };
     let mut place = vec![u32::MAX; tree.nodes.len()];
+    let mut n_told = 0;
     for (at, unit) in left_of(tree, level) {
+        if look(nodes.len(), watch)? {
+            watch.advance((at - std::mem::replace(&mut n_told, at)) as u64);
+        }
         let (id, node) = (nodes.len() as u32, &tree.nodes[at]);
         place[at] = id;
         nodes.push(at as u32);
@@ -343,6 +387,7 @@ fn cut_off(
         });
         cut.surfels.extend(unit.map(|surfel| Surfel { node: id, ..surfel }));
     }
+    watch.advance((tree.nodes.len() - n_told) as u64);
     for id in 0..nodes.len() {
         // A subtree ends where the first node is that is not under it.
         let end = nodes.partition_point(|&node| node < cut.nodes[id].end);
@@ -351,6 +396,15 @@ fn cut_off(
     }
     let starts = starts.into_iter().map(|(a, b)| (place[a as usize], place[b as usize])).collect();
     Ok(Layer { tree: Cow::Owned(cut), starts, nodes })
+}
+
+/// Looks now and then whether to stop; says whether it did.
+fn look(n_done: usize, watch: &dyn Watch) -> Result<bool, StoreError> {
+    let is_due = n_done.is_multiple_of(LOOK_EVERY);
+    if is_due {
+        watch.check()?;
+    }
+    Ok(is_due)
 }
 
 /// Walks what is left of a tree that is cut off at a level, in preorder: ids of the whole tree, of

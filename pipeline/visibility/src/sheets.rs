@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_geometry::{Box3, Rect};
+use pvmap_store::{StoreError, Watch};
 use pvmap_vmap::Tree;
 
 use crate::bounds::{self, Bounds};
@@ -104,28 +105,41 @@ impl Sheets {
     /// in sheets. In a room all but the edges are; among trees and on statues asking them takes
     /// longer than it saves. Families are numbered as inner nodes are. Where `memory_bytes` do not
     /// hold all sheets, those of few surfels are left out.
-    pub fn new(tree: &Tree, discs: &[Disc], bounds: &[Bounds], memory_bytes: u64) -> Sheets {
-        let (sheets, n_in_sheets) = Sheets::all(tree, discs, bounds, memory_bytes);
-        if 4 * n_in_sheets >= 3 * discs.len() { sheets } else { Sheets::default() }
+    ///
+    /// # Errors
+    /// Where the run is asked to stop.
+    pub fn new(
+        tree: &Tree,
+        discs: &[Disc],
+        bounds: &[Bounds],
+        memory_bytes: u64,
+        watch: &dyn Watch,
+    ) -> Result<Sheets, StoreError> {
+        let (sheets, n_in_sheets) = Sheets::all(tree, discs, bounds, memory_bytes, watch)?;
+        Ok(if 4 * n_in_sheets >= 3 * discs.len() { sheets } else { Sheets::default() })
     }
 
     /// Finds the largest sheets of any tree; also counts the surfels of all, those that are left
     /// out included.
+    ///
+    /// # Errors
+    /// Where the run is asked to stop.
     pub(crate) fn all(
         tree: &Tree,
         discs: &[Disc],
         bounds: &[Bounds],
         memory_bytes: u64,
-    ) -> (Sheets, usize) {
+        watch: &dyn Watch,
+    ) -> Result<(Sheets, usize), StoreError> {
         let max_sheets = usize::try_from(memory_bytes / Self::A_SHEET_BYTES).unwrap_or(usize::MAX);
         // There cannot be more of them.
         let n_most = discs.len() / MIN_SURFELS;
         let mut least = MIN_SURFELS;
         if n_most > max_sheets {
             let mut n_of = [0; MAX_SURFELS + 1];
-            each_sheet(tree, discs, bounds, |sheet| {
+            each_sheet(tree, discs, bounds, watch, |sheet| {
                 n_of[sheet.as_ref().map_or(0, |s| s.surfels.len())] += 1;
-            });
+            })?;
             let mut n_sheets = 0;
             let sizes = (MIN_SURFELS..=MAX_SURFELS).rev();
             let has_room = |&n: &usize| {
@@ -140,7 +154,7 @@ impl Sheets {
             sheets: Vec::with_capacity(n_most.min(max_sheets)),
         };
         let mut n_in_sheets = 0;
-        each_sheet(tree, discs, bounds, |sheet| {
+        each_sheet(tree, discs, bounds, watch, |sheet| {
             let n_sheets = sheets.sheets.len();
             n_in_sheets += sheet.as_ref().map_or(0, |sheet| sheet.surfels.len());
             let fits = |sheet: &Sheet| n_sheets < max_sheets && sheet.surfels.len() >= least;
@@ -148,8 +162,8 @@ impl Sheets {
             // There are fewer sheets than surfels.
             sheets.of_family.push(sheet.as_ref().map_or(NO_SHEET, |_| n_sheets as u32));
             sheets.sheets.extend(sheet);
-        });
-        (sheets, n_in_sheets)
+        })?;
+        Ok((sheets, n_in_sheets))
     }
 
     /// Says whether there is none.
@@ -164,15 +178,18 @@ impl Sheets {
     }
 }
 
-/// Visits all inner nodes in order, each with its sheet if it is the top of one.
+/// Visits all inner nodes in order, each with its sheet if it is the top of one. At a million
+/// leaves that takes some ten seconds, so it looks at every node whether to stop.
 fn each_sheet(
     tree: &Tree,
     discs: &[Disc],
     bounds: &[Bounds],
+    watch: &dyn Watch,
     mut visit: impl FnMut(Option<Sheet>),
-) {
+) -> Result<(), StoreError> {
     let mut covered = 0;
     for (id, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
+        watch.check()?;
         let surfels = node.first_surfel..node.end_surfel;
         let fits = id >= covered && (MIN_SURFELS..=MAX_SURFELS).contains(&surfels.len());
         let sheet = if fits { Sheet::new(surfels, discs, &bounds[id]) } else { None };
@@ -181,6 +198,7 @@ fn each_sheet(
         }
         visit(sheet);
     }
+    Ok(())
 }
 
 impl Sheet {
@@ -401,4 +419,31 @@ fn steps_to(names: &[u32; SIDE * SIDE]) -> [u16; SIDE * SIDE] {
         }
     }
     steps
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pvmap_vmap::Shape;
+    use pvmap_vmap::tree::root_node;
+
+    /// Asks to stop from the start.
+    struct Stopped;
+
+    impl Watch for Stopped {
+        fn stage(&self, _name: &'static str, _total: Option<u64>, _unit: &'static str) {}
+        fn advance(&self, _n: u64) {}
+        fn warn(&self, _message: &str) {}
+        fn is_stopped(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn looking_for_sheets_stops_when_asked() {
+        let mut tree = Tree { nodes: vec![root_node(Shape::Binned, 0)], ..Tree::default() };
+        tree.nodes[0].end = 1;
+        let found = Sheets::new(&tree, &[], &[], u64::MAX, &Stopped);
+        assert!(matches!(found, Err(StoreError::Interrupted)));
+    }
 }

@@ -179,18 +179,30 @@ impl Plans {
     /// Plans the pairs of each layer, see [`Plan::new`].
     ///
     /// # Errors
-    /// Where the plans need more memory than they may take.
+    /// Where the plans need more memory than they may take, or more tasks than have a number.
     pub fn new(
         scenes: &[Scene<'_>],
         layers: &[Layer<'_>],
         target: u64,
         limits: &PlanLimits,
     ) -> Result<Plans, StoreError> {
+        // Tasks have u32 numbers, through all plans; a plan has as many pairs or more.
+        Plans::of_at_most(u32::MAX, scenes, layers, target, limits)
+    }
+
+    /// Plans at most so many pairs in all.
+    pub(crate) fn of_at_most(
+        n_planned: u32,
+        scenes: &[Scene<'_>],
+        layers: &[Layer<'_>],
+        target: u64,
+        limits: &PlanLimits,
+    ) -> Result<Plans, StoreError> {
         let mut plans = Plans { plans: Vec::new(), ends: Vec::new() };
-        let mut left_bytes = limits.memory_bytes;
+        let mut left_bytes = limits.memory_bytes.min(u64::from(n_planned) * PLANNED_BYTES as u64);
         for (scene, layer) in scenes.iter().zip(layers) {
             let plan = Plan::new(scene, &layer.starts, target, left_bytes)?;
-            left_bytes = left_bytes.saturating_sub((plan.planned.len() * PLANNED_BYTES) as u64);
+            left_bytes -= (plan.planned.len() * PLANNED_BYTES) as u64;
             plans.ends.push((plans.n_tasks() + plan.tasks.len()) as u32);
             plans.plans.push(plan);
         }

@@ -1,8 +1,12 @@
 //! The layers of random trees against all their leaf pairs, one by one.
 
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use super::*;
 use fastrand::Rng;
 use pvmap_geometry::morton;
+use pvmap_store::Quiet;
 use pvmap_vmap::Shape;
 use pvmap_vmap::tree::root_node;
 
@@ -81,7 +85,7 @@ fn grow(tree: &mut Tree, leaves: &[Surfel], parent: u32, level: u8) {
 fn sorted(tree: &Tree, angle: f64, form_factor: f64) -> Vec<Layer<'_>> {
     let what =
         Approximation { opening_angle: angle, min_form_factor: form_factor, min_exchange: 0.0 };
-    layers(tree, &[(0, 0)], &what, Spacing::Leaf, 1 << 30).unwrap()
+    layers(tree, &[(0, 0)], &what, Spacing::Leaf, 1 << 30, &Quiet).unwrap()
 }
 
 /// Lists the pairs of the layer's leaves that a start stands for.
@@ -227,7 +231,7 @@ fn no_leaf_pair_of_a_large_form_factor_is_left_out() {
 fn d9_what_does_not_fit_is_refused() {
     let tree = random_tree(&mut Rng::with_seed(1));
     let what = Approximation { opening_angle: 0.2, ..Approximation::default() };
-    let of = |bytes| layers(&tree, &[(0, 0)], &what, Spacing::Leaf, bytes).map(|l| l.len());
+    let of = |bytes| layers(&tree, &[(0, 0)], &what, Spacing::Leaf, bytes, &Quiet).map(|l| l.len());
     assert!(matches!(of(1 << 10), Err(StoreError::Budget { .. })));
     let nodes_only = 4 * (tree.nodes.len() as u64 * NODE_BYTES + START_BYTES);
     assert!(matches!(of(nodes_only), Err(StoreError::Budget { .. })));
@@ -239,11 +243,64 @@ fn d9_a_coarser_tree_that_does_not_fit_is_refused() {
     // No leaf has a normal: no node becomes a unit, and nothing is cut off.
     let mut tree = random_tree(&mut Rng::with_seed(1));
     tree.surfels.iter_mut().for_each(|leaf| leaf.normal = [0; 3]);
-    let of = |bytes| cut_off(&tree, 3, Vec::new(), bytes);
+    let of = |bytes| cut_off(&tree, 3, Vec::new(), bytes, &Quiet);
     let records = tree.nodes.len() * size_of::<Node>() + tree.surfels.len() * size_of::<Surfel>();
     assert!(matches!(of(records as u64), Err(StoreError::Budget { .. })));
     let layer = of(2 * records as u64).unwrap();
     assert_eq!(layer.tree.nodes.len(), tree.nodes.len());
     assert_eq!(layer.tree.nodes.capacity(), tree.nodes.len());
     assert_eq!(layer.tree.surfels.capacity(), tree.surfels.len());
+}
+
+/// Adds up what is told, and asks to stop after so many looks.
+struct Told {
+    looks_left: AtomicU64,
+    /// Name, total and how much of it is done.
+    stages: Mutex<Vec<(&'static str, u64, u64)>>,
+}
+
+impl Told {
+    fn new(n_looks: u64) -> Told {
+        Told { looks_left: AtomicU64::new(n_looks), stages: Mutex::default() }
+    }
+}
+
+impl Watch for Told {
+    fn stage(&self, name: &'static str, total: Option<u64>, _unit: &'static str) {
+        self.stages.lock().unwrap().push((name, total.unwrap(), 0));
+    }
+
+    fn advance(&self, n: u64) {
+        self.stages.lock().unwrap().last_mut().unwrap().2 += n;
+    }
+
+    fn warn(&self, message: &str) {
+        panic!("{message}");
+    }
+
+    fn is_stopped(&self) -> bool {
+        let less = |left: u64| left.checked_sub(1);
+        self.looks_left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less).is_err()
+    }
+}
+
+#[test]
+fn d10_layers_tell_how_far_they_are_and_stop_at_every_look() {
+    let tree = random_tree(&mut Rng::with_seed(3));
+    let what = Approximation { opening_angle: 0.1, min_form_factor: 1e-12, min_exchange: 0.0 };
+    let of = |told: &Told| layers(&tree, &[(0, 0)], &what, Spacing::Leaf, 1 << 30, told);
+    let told = Told::new(u64::MAX);
+    assert!(of(&told).unwrap().len() > 2);
+    let stages = told.stages.into_inner().unwrap();
+    assert_eq!(stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), ["layers", "coarser trees"]);
+    assert!(stages.iter().all(|&(_, total, done)| total > 0 && done == total), "{stages:?}");
+    let n_looks = u64::MAX - told.looks_left.into_inner();
+    let stage_of_look = |n: u64| {
+        let told = Told::new(n);
+        assert!(matches!(of(&told), Err(StoreError::Interrupted)), "look {n}");
+        told.stages.into_inner().unwrap().len()
+    };
+    let stopped: Vec<usize> = (0..n_looks).map(stage_of_look).collect();
+    assert!(stopped.starts_with(&[1]) && stopped.ends_with(&[2, 2]), "{stopped:?}");
+    assert!(of(&Told::new(n_looks)).is_ok());
 }
