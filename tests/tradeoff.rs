@@ -311,7 +311,7 @@ fn what_takes_too_long_or_too_much_memory_is_told() {
     assert_eq!(count_of_class(&svg, "setting"), 1);
     assert!(svg.contains("depth8: stopped at 2 s"), "{svg}");
     let csv = String::from_utf8(bench.read("t.csv")).unwrap();
-    assert!(csv.contains("\ndepth8,exact,binned,patch,leaf,8,50,0,0,0,stopped,,,"), "{csv}");
+    assert!(csv.contains("\ndepth8,exact,binned,patch,leaf,8,50,10,0,0,stopped,,,"), "{csv}");
 
     let line = "tradeoff a.octree --pairs 1k --max-level 21 --leaf-capacity 0 --memory 64MiB";
     let run = bench.line(&format!("{line} --want error=1%")).ok();
