@@ -75,4 +75,4 @@ pub use pvmap_store::output::{TableFile, folder_of, is_stdout};
 pub use pvmap_store::{AtomicFile, ClosedFile, Mapped, Quiet, StoreError, Watch, memory};
 pub use pvmap_visibility::{Approximation, VisibilityError};
 pub use pvmap_vmap as vmap;
-pub use told::{contradiction, quality, sees_counts, visible_from_air};
+pub use told::{contradiction, quality, sees_counts, visible_from_air, wide_surfels};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use pvmap_query::quality::{Quality, measure};
-use pvmap_query::{Map, QueryError, VisibleSet};
+use pvmap_query::{Map, QueryError, VisibleSet, WideSurfels};
 use pvmap_store::Watch;
 use pvmap_vmap::OctreeView;
 
@@ -30,6 +30,18 @@ pub fn visible_from_air(
 ) -> Result<VisibleSet, QueryError> {
     watch.stage("air", Some(map.view().summary().n_surfels.into()), "surfels");
     map.visible_from_air(eye, &|n| {
+        watch.advance(n);
+        !watch.is_stopped()
+    })
+}
+
+/// Finds the surfels that are far wider than what their points cover: [`Map::wide_surfels`].
+///
+/// # Errors
+/// Where the map is damaged or the run was asked to stop.
+pub fn wide_surfels(map: &Map<'_>, watch: &dyn Watch) -> Result<Option<WideSurfels>, QueryError> {
+    watch.stage("surfels", Some(map.view().summary().n_surfels.into()), "surfels");
+    map.wide_surfels(&|n| {
         watch.advance(n);
         !watch.is_stopped()
     })

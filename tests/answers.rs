@@ -217,7 +217,7 @@ fn f42_a_query_that_meets_a_flipped_block_names_it_and_others_are_answered() {
     assert!(!bench.path("S.csv").exists());
     // What does not touch that block still answers.
     bench.line("export flipped.vmap --nodes N.csv --links L.csv").ok();
-    bench.line("info flipped.vmap").ok();
+    bench.line("info flipped.vmap").ok().warns(&["flipped.vmap", &name, &place]);
 }
 
 #[test]

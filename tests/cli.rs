@@ -195,12 +195,13 @@ fn configurations_presets_and_flags() {
     for key in ["max_level = 8", "leaf_capacity = 50", "tree = \"binned\"", "profile = \"patch\""] {
         assert!(depth8.contains(key), "{depth8}");
     }
+    assert!(depth8.contains("max_spread = 10") && !config("--max-spread 0").contains("max_spread"));
     assert_eq!(config("--config depth8"), depth8);
     assert_eq!(config("--config depth8.toml --threads 1 --memory 64MiB"), depth8);
     assert_ne!(config("--config preview"), depth8);
     let paper = config("--config paper.toml");
     assert_eq!(config("--config paper"), paper);
-    assert_eq!(config("--tree paper --profile paper"), paper);
+    assert_eq!(config("--tree paper --profile paper --max-spread 0"), paper);
 
     // A file stands before a preset of its name, a folder does not; a flag stands before both.
     std::fs::create_dir(bench.path("paper")).unwrap();

@@ -159,8 +159,26 @@ fn occluders(all: &[StoredPoint], p: &StoredPoint, q: &StoredPoint, delta_grid: 
         limit: Box3 { min: [0; 3], max: [1 << 22; 3] },
         rect: Rect::NONE,
     };
-    let (p, q) = (disc(p), disc(q));
+    let (a, b) = (disc(p), disc(q));
     let mut places = HashSet::new();
-    let blocking = all.iter().filter(|c| blocks(Profile::Patch, &p, &q, &disc(c)));
-    blocking.filter(|c| places.insert(c.g())).map(StoredPoint::index).collect()
+    let blocking = all.iter().filter(|c| blocks(Profile::Patch, &a, &b, &disc(c)));
+    let is_above = |c: &&StoredPoint| {
+        is_above_an_end(c, p, q, delta_grid) || is_above_an_end(c, q, p, delta_grid)
+    };
+    let hiding = blocking.filter(|c| !is_above(c));
+    hiding.filter(|c| places.insert(c.g())).map(StoredPoint::index).collect()
+}
+
+/// Says whether c is noise of the surface of `end`, for a segment from there to `other`.
+fn is_above_an_end(c: &StoredPoint, end: &StoredPoint, other: &StoredPoint, delta: u32) -> bool {
+    let minus = |a: [u32; 3], b: [u32; 3]| [0, 1, 2].map(|i| i128::from(a[i]) - i128::from(b[i]));
+    let dot = |a: [i128; 3], b: [i128; 3]| (0..3).map(|i| a[i] * b[i]).sum::<i128>();
+    let [n, m] = [c.normal(), end.normal()].map(|normal| normal.map(i128::from));
+    let away = minus(other.g(), end.g());
+    // The crossing is h/s of the way.
+    let (s, h) = (dot(n, away), dot(n, minus(c.g(), end.g())));
+    let (cosine, is_known) = (dot(n, m), c.is_oriented() && end.is_oriented());
+    let is_like = cosine > 0 && 4 * cosine * cosine >= 3 * dot(n, n) * dot(m, m);
+    let is_near = 2 * h <= s && h * dot(m, away).abs() <= (s * i128::from(delta)) << 14;
+    is_known && is_like && s > 0 && is_near
 }

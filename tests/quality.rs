@@ -111,3 +111,54 @@ fn holes_show_in_the_rim() {
     let [some, many] = ["--holes 5%", "--holes 20%"].map(rim);
     assert!(some > 1.0 && many > 3.0 * some, "{some} {many}");
 }
+
+/// Writes a floor of 150 by 150 points a hundredth apart, and strays over it, all facing up.
+fn write_strays(bench: &Bench, strays: &[[f64; 3]]) {
+    let n = 150;
+    let names = ["x", "y", "z", "nx", "ny", "nz"];
+    let mut text = ply_header(n * n + strays.len() as u32, &names);
+    let floor = (0..n * n).map(|i| [f64::from(i % n) / 100.0, f64::from(i / n) / 100.0, 0.0]);
+    for [x, y, z] in floor.chain(strays.iter().copied()) {
+        writeln!(text, "{x} {y} {z} 0 0 1").unwrap();
+    }
+    bench.write("strays.ply", text);
+    bench.line("ingest strays.ply --overwrite").ok();
+}
+
+#[test]
+fn surfels_of_a_few_stray_points_are_named_with_what_cuts_them() {
+    let bench = Bench::new();
+    let wide = |flags: &str| {
+        bench.line(&format!("build strays.octree {flags}")).ok();
+        (info(&bench, "strays.vmap")["wide_surfels"].clone(), bench.line("info strays.vmap").ok())
+    };
+    // Four in a clump and two far away, in one eighth of the cube: a leaf, by number alone.
+    let clump = [[0.05, 0.05, 0.8], [0.051, 0.05, 0.8], [0.05, 0.051, 0.8], [0.051, 0.051, 0.8]];
+    let far = [[0.7, 0.7, 1.4], [0.65, 0.1, 1.3]];
+    let strays: Vec<[f64; 3]> = clump.into_iter().chain(far).collect();
+    write_strays(&bench, &strays);
+    let (found, run) = wide("--max-spread 0");
+    assert_eq!((&found["surfels"], &found["of_fewer_than_4_points"]), (&1.into(), &0.into()));
+    assert_eq!((&found["widest"]["points"], &found["max_spread_to_try"]), (&6.into(), &10.into()));
+    let mean = [0, 1, 2].map(|i| strays.iter().map(|p| p[i]).sum::<f64>() / 6.0);
+    let away = |p: &[f64; 3]| (0..3).map(|i| (p[i] - mean[i]).powi(2)).sum::<f64>().sqrt();
+    let radius = strays.iter().map(away).fold(0.0, f64::max);
+    assert!((found["widest"]["radius"].as_f64().unwrap() - radius).abs() < 1e-5, "{found}");
+    for (i, m) in mean.iter().enumerate() {
+        assert!((found["widest"]["at"][i].as_f64().unwrap() - m).abs() < 1e-5, "{found}");
+    }
+    let line = run.stdout.lines().find(|line| line.starts_with("wide surfels ")).unwrap();
+    assert!(line.contains(" 1 over 20 times ") && line.contains("6 points"), "{line}");
+    assert!(line.contains("--max-spread 10"), "{line}");
+    // The default cuts them, and then there is nothing to tell.
+    for flags in ["", "--config preview", "--config quick"] {
+        let (found, run) = wide(flags);
+        assert!(found.is_null() && !run.stdout.contains("wide"), "{flags}: {found}");
+    }
+    // Of three points nobody can say that they are far apart.
+    write_strays(&bench, &[clump[0], far[0], far[1]]);
+    let (found, run) = wide("");
+    assert_eq!((&found["surfels"], &found["of_fewer_than_4_points"]), (&1.into(), &1.into()));
+    assert!(found["max_spread_to_try"].is_null(), "{found}");
+    assert!(run.stdout.contains("no --max-spread cuts them"), "{}", run.stdout);
+}

@@ -312,7 +312,7 @@ fn what_takes_too_long_or_too_much_memory_is_told() {
     assert!(svg.contains("depth8: stopped at 2 s"), "{svg}");
     let csv = String::from_utf8(bench.read("t.csv")).unwrap();
     assert!(
-        csv.contains("\ndepth8,exact,binned,patch,leaf,8,50,0,0,0,0,false,stopped,,,"),
+        csv.contains("\ndepth8,exact,binned,patch,leaf,8,50,10,0,0,0,false,stopped,,,"),
         "{csv}"
     );
 

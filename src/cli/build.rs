@@ -18,8 +18,8 @@ Presets:
   depth8    cells down to 1/256 of the scan's extent, some 50 points a surfel: the default
   accurate  smaller surfels where points are spread: fewer wrong answers, for
             some 1.3 times the time
-  quick     depth8, but what is far is seen coarsely: in a cave 5 times quicker
-            for 0.1 % more wrong answers
+  quick     depth8, but what is far is seen coarsely: in a cave 4 times quicker
+            for 1.9 % more wrong answers, by segments for none
   preview   cells down to 1/64, some 200 points a surfel: a first look
   paper     as in the paper: a plain octree, with averaged normals at edges
 
@@ -27,7 +27,7 @@ A configuration file has the same names as keys, all optional, and a table for w
 decided; flags override it. In brackets above stands what depth8 says, which has no list:
   max_level = 8
   leaf_capacity = 50
-  max_spread = 0
+  max_spread = 10
   tree = \"binned\"
   profile = \"patch\"
   spacing = \"leaf\"
@@ -75,8 +75,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", verbatim_doc_comment)]
     leaf_capacity: Option<u64>,
     /// Cuts leaves further whose points are so spread that their box has
-    /// more than N times the area they cover, such as thin limbs; 3 takes
-    /// some more leaves and time, 0 asks for nothing [depth8: 0]
+    /// more than N times the area they cover, such as stray points; 3 cuts
+    /// thin limbs, too, for more leaves and time, 0 nothing [depth8: 10]
     #[arg(long, value_name = "N", verbatim_doc_comment)]
     max_spread: Option<u16>,
     /// binned (an octree for each of six directions of normals) or paper

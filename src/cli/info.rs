@@ -1,12 +1,14 @@
 //! `pvmap info`: what is in an artifact.
 
 mod quality;
+mod wide;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use pvmap::geometry::Frame;
+use pvmap::query::{Map, QueryError};
 use pvmap::vmap::container::kind_of;
 use pvmap::vmap::frame::{CrsKind, FrameRecord};
 use pvmap::vmap::{FormatError, Kind, MapView, OctreeView};
@@ -20,7 +22,12 @@ use super::{Context, Outcome, map_file, mib, one_line, parse_some, print_json};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Lengths and places are in the scan's units. Only the head of the file is read, however large it
-is; pvmap verify checks the rest.
+is, and of a map the surfels; pvmap verify checks the rest.
+
+Of a map it names, where there are any, the surfels that are suspiciously wide: with a radius of
+more than 20 times the side of a square that as many points cover at the median spacing. Such a
+disc is of a few stray points and hides what is behind it. pvmap build --max-spread N, with N
+lower, cuts those of at least 4 points that stand in clumps far from each other.
 
 With --quality an octree is asked what its points are like, at a sample of them, each with the 16
 points that normals are estimated from:
@@ -78,11 +85,20 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             fields
         }
         _ => {
-            let fields = MapView::open(&bytes).and_then(|v| map(&v, bytes.len())).map_err(named)?;
+            let of_map = |e| Error::of_query(&path, e);
+            let asked = Map::open(&bytes).map_err(of_map)?;
+            let mut fields = map(asked.view(), bytes.len()).map_err(named)?;
             if args.quality {
                 let message = "is a map, and --quality is about points; give the octree";
                 return Err(Error::Usage(format!("{}: {message}", args.file.display())).into());
             }
+            match wide::field(&asked, &context.progress) {
+                Ok(found) => fields.extend(found),
+                // What the head says holds all the same.
+                Err(e @ QueryError::Format(_)) => context.progress.warn(&of_map(e).to_string()),
+                Err(e) => return Err(of_map(e).into()),
+            }
+            context.progress.take_stages();
             fields
         }
     };

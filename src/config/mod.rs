@@ -51,7 +51,7 @@ impl Default for BuildConfig {
         BuildConfig {
             max_level: 8,
             leaf_capacity: 50,
-            max_spread: 0,
+            max_spread: 10,
             tree: Shape::Binned,
             profile: Profile::Patch,
             spacing: Spacing::Leaf,

@@ -179,8 +179,8 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Goes from one configuration along one axis at a time: approximations, levels, capacities, a
-    /// spread, spacings of leaves around (with small leaves, too, which need them), all three as
+    /// Goes from one configuration along one axis at a time: approximations, levels, capacities,
+    /// spreads, spacings of leaves around (with small leaves, too, which need them), all three as
     /// `accurate` has them, the other profiles, the paper's tree, and both.
     ///
     /// # Errors
@@ -195,7 +195,7 @@ impl Sweep {
             Axes { fractions: vec![true], ..Axes::default() },
             Axes { max_level: vec![5, 6, 7], ..Axes::default() },
             Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },
-            Axes { max_spread: vec![3], ..Axes::default() },
+            Axes { max_spread: vec![0, 3], ..Axes::default() },
             Axes {
                 spacing: vec![RawSpacing::Neighbors],
                 leaf_capacity: vec![12, 25, 50],
@@ -210,7 +210,9 @@ impl Sweep {
             },
             Axes { profile: vec![RawProfile::Oriented, RawProfile::Paper], ..Axes::default() },
             Axes { tree: vec![RawTree::Paper], ..Axes::default() },
+            // The preset `paper`.
             Axes {
+                max_spread: vec![0],
                 tree: vec![RawTree::Paper],
                 profile: vec![RawProfile::Paper],
                 ..Axes::default()

@@ -41,6 +41,7 @@ mod segment;
 mod set;
 mod shadow;
 mod visible_from;
+mod wide;
 
 pub use by_segment::{SegmentAnswer, SettledBy, Spot};
 pub use error::{ErrorKind, QueryError};
@@ -53,3 +54,4 @@ pub use region::{Ball, RegionAnswer, Sight};
 pub use set::SurfelSet;
 pub use shadow::{Light, LightSource, ShadowAnswer};
 pub use visible_from::VisibleSet;
+pub use wide::{LEAST_CUT, WIDE_TIMES, WideSurfels};

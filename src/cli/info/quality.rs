@@ -65,7 +65,7 @@ fn percent(k: u64, n: u64) -> Field {
 }
 
 /// Writes a length with four digits that count.
-fn short(v: f64) -> String {
+pub(super) fn short(v: f64) -> String {
     // What was written in digits is a number.
     format!("{v:.3e}").parse::<f64>().unwrap_or(v).to_string()
 }

@@ -42,7 +42,8 @@ of each other: 0 to 1, in sixteenths. The answer stays that of their centres.
 
 With --exact the answer is that of the scan's points nearest to the two places: no if so many
 others have tangent planes that cross the line between them so near to themselves, away from both
-ends. What the surfels say is told beside it.
+ends. A point of known side does not count that noise put above an end, no farther than that: it
+looks as the end does, and the line comes from behind it. What the surfels say is told beside it.
   leaves    whether the surfels say the same
   occluders points found in the way, of which the search ends with the last that it takes
 

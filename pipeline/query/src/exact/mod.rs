@@ -222,7 +222,11 @@ impl<'v, 'a> Exact<'v, 'a> {
     /// tangent plane crosses the open segment at x = p + (n·(c - p) / n·d)·d, and |x - c| ≤ Δ:
     /// the paper's three reasons to reject a candidate, read backwards. The paper is silent about
     /// the ends; here |x - p| > Δ and |x - q| > Δ are needed as well, since a surface does not
-    /// occlude its own neighbourhood ([V-2] iii). Points without a normal occlude nothing.
+    /// occlude its own neighbourhood ([V-2] iii). For the same reason a point of noise above an end
+    /// does not count: one that knows its side, as the end e does, with a normal at most 30° from
+    /// e's, that the segment, taken from e, passes from behind (n·d > 0), at an x that is no nearer
+    /// to the other end and within Δ of e's tangent plane: |n_e·(x - e)| ≤ 2^14·Δ. Points without a
+    /// normal occlude nothing.
     /// Occluders are counted by place: a point recorded twice is no second witness.
     ///
     /// Exact: the verdict of rational arithmetic on grid positions and quantised normals, over all

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use pvmap_geometry::disc::{Disc, Profile, blocks, segment_meets};
+use pvmap_geometry::normal::{Normal, strays};
 use pvmap_geometry::{Box3, morton};
 use pvmap_vmap::{FormatError, OctreeView};
 
@@ -27,7 +28,8 @@ pub(super) fn find(
             cells.divide(&cell, &mut open, |part| is_near(ends, part, options.delta_grid))?;
             continue;
         }
-        let test = |c: &StoredPoint| match blocks(Profile::Patch, p, q, &c.disc(p.radius2)) {
+        let is_met = |c: &StoredPoint| blocks(Profile::Patch, p, q, &c.disc(p.radius2));
+        let test = |c: &StoredPoint| match is_met(c) && !is_of_an_end(ends, c, options.delta_grid) {
             true => found.note(c),
             false => ControlFlow::Continue(()),
         };
@@ -51,6 +53,39 @@ fn is_worth_dividing(cell: &Cell, delta_grid: u32) -> bool {
 fn is_near([p, q]: &[Disc; 2], part: &Box3, delta_grid: u32) -> bool {
     // Δ and the corners are below 2^23, so the sum fits.
     segment_meets(p.centroid, q.centroid, &part.grown(delta_grid as i32))
+}
+
+/// The length of a quantised normal, but for its rounding.
+const NORMAL_LENGTH: i128 = 1 << 14;
+
+/// Says whether a point whose tangent plane the segment crosses belongs to the surface of an end:
+/// noise put it above the end, and the segment passes it from behind on its way out.
+///
+/// With x the crossing: both know their side, their normals are at most 30° apart, the segment goes
+/// the way that c looks if one goes from the end to the other, x is no nearer to the other, and
+/// within Δ of the end's tangent plane. A surface that hides an end from the other is entered
+/// through its front before it is left.
+fn is_of_an_end([p, q]: &[Disc; 2], c: &StoredPoint, delta_grid: u32) -> bool {
+    let d = difference(q.centroid, p.centroid);
+    let s = dot(c.normal, d);
+    let h = dot(c.normal, difference(c.g.map(|v| v as i32), p.centroid));
+    // x = p + (h/s)·d: so far from the end, of |s| from there to the other.
+    let (end, along) = if s > 0 { (p, h) } else { (q, h - s) };
+    let knows_side = c.oriented && !end.two_sided && end.normal != [0; 3];
+    if !knows_side || 2 * along > s.abs() || strays(c.normal, end.normal.map(i64::from)) {
+        return false;
+    }
+    // Dots are below 2^38, so both sides below 2^77.
+    let off_plane = i128::from(along) * i128::from(dot(end.normal, d).abs());
+    off_plane <= i128::from(s.abs()) * i128::from(delta_grid) * NORMAL_LENGTH
+}
+
+fn difference(a: [i32; 3], b: [i32; 3]) -> [i64; 3] {
+    [0, 1, 2].map(|i| i64::from(a[i]) - i64::from(b[i]))
+}
+
+fn dot(n: Normal, d: [i64; 3]) -> i64 {
+    (0..3).map(|i| i64::from(n[i]) * d[i]).sum()
 }
 
 /// Occluders met so far, a point of each place.

@@ -13,3 +13,4 @@ mod rays;
 mod regions;
 mod sound;
 mod visible;
+mod wide;
