@@ -18,7 +18,7 @@ use pvmap::geometry::grid::GRID_MAX;
 use pvmap::geometry::normal::{NORMAL_LENGTH, quantise};
 use pvmap::query::{Located, Map, Place, QueryError, SegmentAnswer, SettledBy, Snap, Spot};
 use pvmap::vmap::{MapView, Shape, Spacing};
-use pvmap::{BuildConfig, Limits, NormalsFrom, Orientation};
+use pvmap::{Approximation, BuildConfig, Limits, NormalsFrom, Orientation};
 use serde_json::Value;
 
 use crate::cli_common::{Bench, ply_header};
@@ -42,6 +42,8 @@ struct Seen {
     two_sided: u64,
     no_normal: u64,
     decided_by_own_normal: u64,
+    /// By a sample, in a map with visible fractions.
+    tried: u64,
 }
 
 impl AddAssign for Seen {
@@ -53,6 +55,7 @@ impl AddAssign for Seen {
         self.free += other.free;
         self.unlike_leaves += other.unlike_leaves;
         self.linked_but_blocked += other.linked_but_blocked;
+        self.tried += other.tried;
         self.paper += other.paper;
         self.two_sided += other.two_sided;
         self.no_normal += other.no_normal;
@@ -92,6 +95,11 @@ fn random_map(rng: &mut Rng) -> (Vec<u8>, Profile) {
             _ => Profile::Paper,
         },
         spacing: if rng.bool() { Spacing::Leaf } else { Spacing::Neighbors },
+        fractions: rng.u8(..4) == 0,
+        approximation: Approximation {
+            min_exchange: if rng.u8(..3) == 0 { 0.1f64.powi(rng.i32(1..5)) } else { 0.0 },
+            ..Approximation::default()
+        },
         ..BuildConfig::default()
     };
     (build_with(&octree, &config, &limits), config.profile)
@@ -124,11 +132,17 @@ fn normal_at(rng: &mut Rng, model: &Model, surfel: usize) -> Option<[f32; 3]> {
 }
 
 /// Says by the words of what settles a pair of different leaves.
-fn expected(model: &Model, profile: Profile, ends: [End; 2], answer: &SegmentAnswer) -> SettledBy {
-    let is_wide = answer.by_leaves.link.is_some_and(|link| {
-        let (a, b) = link.nodes;
-        model.leaves[a as usize].len() >= 8 && model.leaves[b as usize].len() >= 8
-    });
+fn expected(
+    model: &Model,
+    profile: Profile,
+    ends: [End; 2],
+    (answer, is_tried): (&SegmentAnswer, bool),
+) -> SettledBy {
+    let is_wide = !is_tried
+        && answer.by_leaves.link.is_some_and(|link| {
+            let (a, b) = link.nodes;
+            model.leaves[a as usize].len() >= 8 && model.leaves[b as usize].len() >= 8
+        });
     match model.blockers(profile, ends) {
         None => SettledBy::Facing,
         Some(_) if is_wide => SettledBy::Link,
@@ -170,7 +184,11 @@ fn check_map(seed: u64) -> Seen {
         assert_eq!(answer.by_leaves, map.pair(a.located(), b.located()).unwrap(), "{note}");
         let settled_by = match x == y {
             true => SettledBy::Leaf,
-            false => expected(&model, profile, [p, q], &answer),
+            false => {
+                let tried = map.pair_fraction(a.located(), b.located()).unwrap().tried;
+                seen.tried += u64::from(tried.is_some());
+                expected(&model, profile, [p, q], (&answer, tried.is_some()))
+            }
         };
         assert_eq!(answer.settled_by, settled_by, "{note}");
         let sees = !matches!(settled_by, SettledBy::Facing | SettledBy::Blocker(_));
@@ -214,7 +232,7 @@ fn q1_segments_are_asked_as_brute_force_does() {
     assert!(seen.blocked > 10 * n && seen.free > 10 * n, "{seen:?}");
     assert!(seen.unlike_leaves > n && seen.linked_but_blocked > 0, "{seen:?}");
     assert!(seen.paper > n && seen.two_sided > n && seen.no_normal > n, "{seen:?}");
-    assert!(seen.decided_by_own_normal > n, "{seen:?}");
+    assert!(seen.decided_by_own_normal > n && seen.tried > n, "{seen:?}");
 }
 
 /// Makes the bytes of a map of the furnished room.

@@ -191,7 +191,7 @@ impl Sweep {
         let steps = [
             Axes { opening_angle: vec![0.06, 0.1, 0.15, 0.25], ..Axes::default() },
             Axes { min_form_factor: vec![1e-4], ..Axes::default() },
-            Axes { min_exchange: vec![1e-7], ..Axes::default() },
+            Axes { min_exchange: vec![1e-7, 1e-6], ..Axes::default() },
             Axes { fractions: vec![true], ..Axes::default() },
             Axes { max_level: vec![5, 6, 7], ..Axes::default() },
             Axes { leaf_capacity: vec![12, 25, 100, 200], ..Axes::default() },

@@ -24,8 +24,7 @@ impl Map<'_> {
     /// the answers.
     pub fn pairs(&self, questions: &[(Located, Located)]) -> Vec<Result<PairAnswer, QueryError>> {
         let nodes = |(a, b): &(Located, Located)| [a.node, b.node];
-        let begin = || Lookup::new(self);
-        by_leaves(questions, nodes, begin, |lookup, (a, b)| self.pair_with(lookup, a, b))
+        self.by_leaves(questions, nodes, |lookup, (a, b)| self.pair_with(lookup, a, b))
     }
 
     /// Decides many pairs of places by their segments; the answers are those of
@@ -35,8 +34,7 @@ impl Map<'_> {
         questions: &[(Spot, Spot)],
     ) -> Vec<Result<SegmentAnswer, QueryError>> {
         let nodes = |(a, b): &(Spot, Spot)| [a.located().node, b.located().node];
-        let begin = || Lookup::new(self);
-        by_leaves(questions, nodes, begin, |lookup, (a, b)| self.segment_with(lookup, a, b))
+        self.by_leaves(questions, nodes, |lookup, (a, b)| self.segment_with(lookup, a, b))
     }
 
     /// Gives how much the leaves of many pairs of places see of each other; the answers are those
@@ -46,37 +44,34 @@ impl Map<'_> {
         questions: &[(Located, Located)],
     ) -> Vec<Result<FractionAnswer, QueryError>> {
         let nodes = |(a, b): &(Located, Located)| [a.node, b.node];
-        let begin = || (Lookup::new(self), Lookup::of_partials(self));
-        by_leaves(questions, nodes, begin, |(links, partials), (a, b)| {
-            self.fraction_with(links, partials.as_mut(), a, b)
-        })
+        self.by_leaves(questions, nodes, |lookup, (a, b)| self.fraction_with(lookup, a, b))
     }
-}
 
-/// Answers questions in the order of their leaves; gives the answers in that of the questions.
-fn by_leaves<Q: Sync, A: Send, L>(
-    questions: &[Q],
-    nodes: impl Fn(&Q) -> [u32; 2] + Sync,
-    begin: impl Fn() -> L + Sync,
-    answer: impl Fn(&mut L, &Q) -> A + Sync,
-) -> Vec<A> {
-    let mut order: Vec<usize> = (0..questions.len()).collect();
-    order.par_sort_unstable_by_key(|&i| {
-        let [a, b] = nodes(&questions[i]);
-        (a.min(b), a.max(b))
-    });
-    let answer = &answer;
-    let answered: Vec<(usize, A)> = order
-        .par_chunks(PIECE)
-        .flat_map_iter(|piece| {
-            let mut lookup = begin();
-            piece.iter().map(move |&i| (i, answer(&mut lookup, &questions[i])))
-        })
-        .collect();
-    let mut answers: Vec<Option<A>> = questions.iter().map(|_| None).collect();
-    for (i, answer) in answered {
-        answers[i] = Some(answer);
+    /// Answers questions in the order of their leaves; gives the answers in that of the questions.
+    fn by_leaves<Q: Sync, A: Send>(
+        &self,
+        questions: &[Q],
+        nodes: impl Fn(&Q) -> [u32; 2] + Sync,
+        answer: impl Fn(&mut Lookup<'_, '_>, &Q) -> A + Sync,
+    ) -> Vec<A> {
+        let mut order: Vec<usize> = (0..questions.len()).collect();
+        order.par_sort_unstable_by_key(|&i| {
+            let [a, b] = nodes(&questions[i]);
+            (a.min(b), a.max(b))
+        });
+        let answer = &answer;
+        let answered: Vec<(usize, A)> = order
+            .par_chunks(PIECE)
+            .flat_map_iter(|piece| {
+                let mut lookup = Lookup::new(self);
+                piece.iter().map(move |&i| (i, answer(&mut lookup, &questions[i])))
+            })
+            .collect();
+        let mut answers: Vec<Option<A>> = questions.iter().map(|_| None).collect();
+        for (i, answer) in answered {
+            answers[i] = Some(answer);
+        }
+        // Every place of the order is one question's.
+        answers.into_iter().flatten().collect()
     }
-    // Every place of the order is one question's.
-    answers.into_iter().flatten().collect()
 }

@@ -105,12 +105,16 @@ impl Map<'_> {
         b: &Spot,
     ) -> Result<SegmentAnswer, QueryError> {
         let by_leaves = self.pair_with(lookup, &a.located, &b.located)?;
-        let settled_by = self.settle(a, b, &by_leaves)?;
+        // Nodes that a sample stands for may see each other in part.
+        let is_wide = by_leaves.link.as_ref().is_some_and(is_wide)
+            && self.tried(lookup, &a.located, &b.located)?.is_none();
+        let settled_by = self.settle(a, b, is_wide)?;
         let visible = !matches!(settled_by, SettledBy::Facing | SettledBy::Blocker(_));
         Ok(SegmentAnswer { visible, settled_by, by_leaves })
     }
 
-    fn settle(&self, a: &Spot, b: &Spot, by_leaves: &PairAnswer) -> Result<SettledBy, FormatError> {
+    /// Finds what settles a pair, given whether its link does.
+    fn settle(&self, a: &Spot, b: &Spot, is_wide: bool) -> Result<SettledBy, FormatError> {
         let (x, y) = (&a.located, &b.located);
         if x.node == y.node {
             return Ok(SettledBy::Leaf);
@@ -119,7 +123,7 @@ impl Map<'_> {
         if !faces_both(&ends[0], &ends[1]) {
             return Ok(SettledBy::Facing);
         }
-        if by_leaves.link.as_ref().is_some_and(is_wide) {
+        if is_wide {
             return Ok(SettledBy::Link);
         }
         let spared = [x.surfel, y.surfel];

@@ -40,31 +40,42 @@ impl Map<'_> {
     /// # Errors
     /// Those of [`Map::pair`].
     pub fn pair_fraction(&self, a: &Located, b: &Located) -> Result<FractionAnswer, QueryError> {
-        self.fraction_with(&mut Lookup::new(self), Lookup::of_partials(self).as_mut(), a, b)
+        self.fraction_with(&mut Lookup::new(self), a, b)
     }
 
-    /// Does what [`Map::pair_fraction`] does; the lookups may have the right frames at hand.
+    /// Does what [`Map::pair_fraction`] does; the lookup may have the right frames at hand.
     pub(crate) fn fraction_with(
         &self,
-        links: &mut Lookup<'_, '_>,
-        partials: Option<&mut Lookup<'_, '_>>,
+        lookup: &mut Lookup<'_, '_>,
         a: &Located,
         b: &Located,
     ) -> Result<FractionAnswer, QueryError> {
-        let by_leaves = self.pair_with(links, a, b)?;
-        if let Some(partials) = partials
-            && a.node != b.node
-        {
-            for (x, y) in self.links_over(links, a, b)?.iter() {
-                let found = partials.partner_from(x, Partial::first_of(y))?;
-                let found = found.and_then(|numbers| Partial::of_pair((x, numbers)));
-                if let Some(Partial { n_free, .. }) = found.filter(|partial| partial.b == y) {
-                    let tried = Some(if a.node < b.node { (x, y) } else { (y, x) });
-                    return Ok(FractionAnswer { n_free, tried, by_leaves });
-                }
+        let by_leaves = self.pair_with(lookup, a, b)?;
+        let links_say = if by_leaves.visible { SEGMENTS } else { 0 };
+        Ok(match self.tried(lookup, a, b)? {
+            None => FractionAnswer { n_free: links_say, tried: None, by_leaves },
+            Some(Partial { a: x, b: y, n_free }) => {
+                let tried = Some(if a.node < b.node { (x, y) } else { (y, x) });
+                FractionAnswer { n_free, tried, by_leaves }
+            }
+        })
+    }
+
+    /// Finds the nodes over two leaves that have a visible fraction.
+    pub(crate) fn tried(
+        &self,
+        lookup: &mut Lookup<'_, '_>,
+        a: &Located,
+        b: &Located,
+    ) -> Result<Option<Partial>, QueryError> {
+        if !self.has_fractions() || a.node == b.node {
+            return Ok(None);
+        }
+        for (x, y) in self.links_over(lookup, a, b)?.iter() {
+            if let Some(found) = lookup.partial((x, y))? {
+                return Ok(Some(found));
             }
         }
-        let n_free = if by_leaves.visible { SEGMENTS } else { 0 };
-        Ok(FractionAnswer { n_free, tried: None, by_leaves })
+        Ok(None)
     }
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pvmap_vmap::links::LinkLists;
-use pvmap_vmap::{FormatError, MapView, Pairs};
+use pvmap_vmap::{FormatError, MapView, Pairs, Partial};
 
 use crate::adjacency::Adjacency;
 use crate::map::Map;
@@ -70,29 +70,25 @@ impl LinkFrames {
     }
 }
 
-/// Looks links up, or pairs with visible fractions, best in rising order: the frame of one is often that of the next.
+/// Looks links and visible fractions up, best in rising order: the frame of one is often that of
+/// the next.
 #[derive(Debug)]
 pub(crate) struct Lookup<'m, 'a> {
     view: &'m MapView<'a>,
-    pairs: Pairs<'m, 'a>,
-    frames: &'m LinkFrames,
     /// All links, where they are in memory.
     all: Option<&'m Adjacency>,
-    frame: Option<Arc<LinkFrame>>,
+    links: Cursor<'m, 'a>,
+    /// Where the map has visible fractions.
+    partials: Option<Cursor<'m, 'a>>,
 }
 
 impl<'m, 'a> Lookup<'m, 'a> {
     pub(crate) fn new(map: &'m Map<'a>) -> Lookup<'m, 'a> {
-        let (view, frames, all) =
-            (map.view(), &map.frames, map.kept().and_then(|kept| kept.adjacency.as_ref()));
-        Lookup { view, pairs: view.links(), frames, all, frame: None }
-    }
-
-    /// Looks up pairs as [`Partial`](pvmap_vmap::Partial) reads them; none where the map has no
-    /// visible fractions.
-    pub(crate) fn of_partials(map: &'m Map<'a>) -> Option<Lookup<'m, 'a>> {
-        let (view, frames) = (map.view(), &map.partial_frames);
-        view.partials().map(|pairs| Lookup { view, pairs, frames, all: None, frame: None })
+        let view = map.view();
+        let all = map.kept().and_then(|kept| kept.adjacency.as_ref());
+        let links = Cursor::new(view.links(), &map.frames);
+        let partials = view.partials().map(|pairs| Cursor::new(pairs, &map.partial_frames));
+        Lookup { view, all, links, partials }
     }
 
     /// Gives the parent of a node.
@@ -106,9 +102,48 @@ impl<'m, 'a> Lookup<'m, 'a> {
 
     /// Says whether (a, b), a < b, is a link.
     pub(crate) fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
-        if let Some(all) = self.all {
-            return Ok(all.contains((a, b)));
+        match self.all {
+            Some(all) => Ok(all.contains((a, b))),
+            None => self.links.contains((a, b)),
         }
+    }
+
+    /// Finds the least partner of `a` that is `from` or later, reading the one frame it is in.
+    pub(crate) fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
+        match self.all {
+            Some(all) => Ok(least(all.partners_of(a), from)),
+            None => self.links.partner_from(a, from),
+        }
+    }
+
+    /// Gives the visible fraction of (a, b), a < b, where the map has one. [F-24]
+    pub(crate) fn partial(&mut self, (a, b): (u32, u32)) -> Result<Option<Partial>, FormatError> {
+        let Some(partials) = &mut self.partials else { return Ok(None) };
+        let numbers = partials.partner_from(a, Partial::first_of(b))?;
+        let found = numbers.and_then(|numbers| Partial::of_pair((a, numbers)));
+        Ok(found.filter(|partial| partial.b == b))
+    }
+}
+
+/// Gives the least of rising partners that is `from` or later.
+fn least(partners: &[u32], from: u32) -> Option<u32> {
+    partners.get(partners.partition_point(|&b| b < from)).copied()
+}
+
+/// Sorted pairs and the frame of them that is at hand.
+#[derive(Debug)]
+struct Cursor<'m, 'a> {
+    pairs: Pairs<'m, 'a>,
+    frames: &'m LinkFrames,
+    frame: Option<Arc<LinkFrame>>,
+}
+
+impl<'m, 'a> Cursor<'m, 'a> {
+    fn new(pairs: Pairs<'m, 'a>, frames: &'m LinkFrames) -> Cursor<'m, 'a> {
+        Cursor { pairs, frames, frame: None }
+    }
+
+    fn contains(&mut self, (a, b): (u32, u32)) -> Result<bool, FormatError> {
         if !self.is_at((a, b)) {
             let index = self.pairs.block_from(a, b)?;
             if index == self.pairs.n_blocks() || self.pairs.first(index)? > (a, b) {
@@ -119,13 +154,7 @@ impl<'m, 'a> Lookup<'m, 'a> {
         Ok(self.frame.as_ref().is_some_and(|f| f.lists.contains(a, b)))
     }
 
-    /// Finds the least partner of `a` that is `from` or later, reading the one frame it is in.
-    pub(crate) fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
-        let least =
-            |partners: &[u32]| partners.get(partners.partition_point(|&b| b < from)).copied();
-        if let Some(all) = self.all {
-            return Ok(least(all.partners_of(a)));
-        }
+    fn partner_from(&mut self, a: u32, from: u32) -> Result<Option<u32>, FormatError> {
         if !self.is_at((a, from)) {
             let index = self.pairs.block_from(a, from)?;
             if index == self.pairs.n_blocks() {
@@ -138,11 +167,11 @@ impl<'m, 'a> Lookup<'m, 'a> {
             }
             self.frame = Some(self.frames.get(self.pairs, index)?);
         }
-        Ok(self.frame.as_ref().and_then(|f| least(f.lists.partners_of(a))))
+        Ok(self.frame.as_ref().and_then(|f| least(f.lists.partners_of(a), from)))
     }
 
-    /// Says whether a link would be in the frame at hand.
-    fn is_at(&self, link: (u32, u32)) -> bool {
-        self.frame.as_ref().is_some_and(|f| f.first <= link && link <= f.last)
+    /// Says whether a pair would be in the frame at hand.
+    fn is_at(&self, pair: (u32, u32)) -> bool {
+        self.frame.as_ref().is_some_and(|f| f.first <= pair && pair <= f.last)
     }
 }
