@@ -255,3 +255,59 @@ fn a_class_shines() {
         .line("query hall.vmap shadow 20,20,0 --octree other.octree --class 2")
         .fails(65, &["another octree"]);
 }
+
+#[test]
+fn how_much_surfels_see_of_each_other_is_told_where_the_map_knows() {
+    let bench = Bench::new();
+    bench.line("scene furnished --points 20k -o room.ply").ok();
+    bench.line("ingest room.ply").ok();
+    bench.line("build room.octree --max-level 5 -o plain.vmap").ok();
+    bench.line("build room.octree --max-level 5 --fractions -o room.vmap").ok();
+    let run = bench.line("query plain.vmap pair 1,1,0 1,2,0 --fraction").exits(2);
+    assert!(run.stderr.contains("pvmap build --fractions"), "{}", run.stderr);
+    let places = bench.line("query room.vmap sees-count").ok().stdout;
+    let normals = bench.line("export room.vmap --surfels -").ok().stdout;
+    let column = |table: &str, name: &str| {
+        let names = table.lines().next().unwrap();
+        cells(table, names.split(',').position(|c| c == name).unwrap())
+    };
+    let columns = [(&places, ["x", "y", "z"]), (&normals, ["nx", "ny", "nz"])]
+        .map(|(table, names)| names.map(|name| column(table, name)))
+        .concat();
+    let cell = |i: usize| columns.iter().map(|column| column[i].clone()).collect::<Vec<_>>();
+    let n = columns[0].len();
+    let mut rows = "x1,y1,z1,nx1,ny1,nz1,x2,y2,z2,nx2,ny2,nz2\n".to_owned();
+    let asked: Vec<(usize, usize)> =
+        (0..20).flat_map(|i| (0..n).map(move |j| (i * n / 20, j))).collect();
+    asked
+        .iter()
+        .for_each(|&(i, j)| rows += &format!("{},{}\n", cell(i).join(","), cell(j).join(",")));
+    bench.write("rows.csv", rows);
+    let table = bench.line("query room.vmap pairs rows.csv --fraction").ok().stdout;
+    assert!(table.starts_with("visible,surfel1,surfel2,distance1,distance2,fraction,error\n"));
+    let plain = bench.line("query plain.vmap pairs rows.csv").ok().stdout;
+    assert_eq!(cells(&table, 0), cells(&plain, 0), "links stay as they are");
+    let fractions: Vec<f64> = cells(&table, 5).iter().map(|f| f.parse().unwrap()).collect();
+    assert!(fractions.iter().all(|f| (0.0..=1.0).contains(f) && (16.0 * f).fract() == 0.0));
+    let some = fractions.iter().position(|&f| f > 0.0 && f < 1.0).expect("a pair half in shadow");
+    let (i, j) = asked[some];
+    let [from, to] = [i, j].map(cell);
+    let [a, b] = [&from, &to].map(|place| place[..3].join(","));
+    let [n1, n2] = [&from, &to].map(|place| place[3..].join(","));
+    let line = format!("query room.vmap pair {a} {b} --normal1 {n1} --normal2 {n2} --fraction");
+    let answer = json(&bench.line(&format!("{line} --json")));
+    assert_eq!(answer["fraction"], fractions[some]);
+    let tried = answer["tried"].as_array().unwrap();
+    let said = bench.line(&line).stdout;
+    let words = format!(
+        "  fraction  {}: {} of 16 segments between nodes {} and {}\n",
+        fractions[some],
+        16.0 * fractions[some],
+        tried[0],
+        tried[1]
+    );
+    assert!(said.contains(&words), "{said}");
+    let info = json(&bench.line("info room.vmap --json").ok());
+    assert!(info["visible_fractions"].as_u64().unwrap() > 100, "{info}");
+    assert!(json(&bench.line("info plain.vmap --json").ok())["visible_fractions"].is_null());
+}
