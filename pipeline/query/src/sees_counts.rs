@@ -15,7 +15,7 @@ impl Map<'_> {
     /// One pass over all links: four bytes of memory a surfel, eight a node. A link (A, B) adds the
     /// number of B's surfels to each of A's, which are a range, and the other way round. What is
     /// noted is only where a range begins and ends; sums over those are the counts. After each of
-    /// the [`n_link_blocks`](pvmap_vmap::MapView::n_link_blocks) frames `goes_on` is asked, from
+    /// the [`n_blocks`](pvmap_vmap::Pairs::n_blocks) frames `goes_on` is asked, from
     /// any thread of the current rayon pool, whether to go on.
     ///
     /// # Errors
