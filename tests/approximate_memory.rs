@@ -1,5 +1,5 @@
-//! Approximate builds hold no more than they may, however many coarser trees they have. Source:
-//! DESIGN.md [D-9].
+//! Approximate builds hold no more than they may, however many coarser trees they have, and neither
+//! do those that try pairs by samples. Source: DESIGN.md [D-9].
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
@@ -19,12 +19,16 @@ fn builds_within_64_mib(bench: &Bench, options: &str) {
 }
 
 #[test]
-fn d9_a_cave_in_coarser_trees_stays_within_the_memory() {
+fn d9_a_cave_in_coarser_trees_or_tried_by_samples_stays_within_the_memory() {
     let bench = Bench::new();
     bench.line("scene cave --points 40k -o a.ply --progress off").ok();
     bench.line("ingest a.ply --progress off").ok();
     for angle in ["0.15", "0.3"] {
         let options = format!("--max-level 8 --leaf-capacity 12 --opening-angle {angle}");
+        builds_within_64_mib(&bench, &options);
+    }
+    for tried in ["--fractions", "--min-exchange 1e-6", "--opening-angle 0.15 --fractions"] {
+        let options = format!("--max-level 8 --leaf-capacity 12 {tried}");
         builds_within_64_mib(&bench, &options);
     }
 }

@@ -55,6 +55,28 @@ fn f01_killed_at_any_time_it_ends_with_the_same_bytes() {
 }
 
 #[test]
+fn f01_visible_fractions_are_gone_on_with() {
+    let bench = small();
+    let build = "build a.octree --leaf-capacity 10 --fractions --min-exchange 1e-7 --checkpoint 0 \
+                 --progress plain";
+    bench.line(&format!("{build} --threads 1 -o whole.vmap")).ok();
+    let mut random = fastrand::Rng::with_seed(3);
+    let mut n_resumed = 0;
+    for _ in 0..12 {
+        let child = start(&bench, &format!("{build} -o again.vmap"));
+        std::thread::sleep(Duration::from_millis(random.u64(50..300)));
+        let run = kill(child);
+        n_resumed += u32::from(run.stderr.contains("resuming: "));
+        if run.code == 0 {
+            break;
+        }
+    }
+    bench.line(&format!("{build} -o again.vmap")).ok();
+    assert!(bench.read("again.vmap") == bench.read("whole.vmap"));
+    assert!(n_resumed > 0, "no run had anything to go on with");
+}
+
+#[test]
 fn f02_killed_at_every_call_that_writes() {
     if !has_strace("f02") {
         return;
