@@ -9,8 +9,8 @@ use pvmap_query::{ErrorKind, Located, Map, Place, QueryError, Snap};
 use pvmap_scene::{MOST_POINTS, Sample, Scene};
 use pvmap_store::Watch;
 use pvmap_vmap::bytes::FieldReader;
+use pvmap_vmap::fraction::SEGMENTS;
 use pvmap_vmap::octree::Placement;
-use pvmap_vmap::partial::SEGMENTS;
 use pvmap_vmap::schema::{Column, ColumnType};
 use pvmap_vmap::{FormatError, OctreeView};
 use rayon::prelude::*;
@@ -438,6 +438,24 @@ mod tests {
         assert_eq!(said.collect::<Vec<_>>(), [5000, 5000 / 3]);
         assert_eq!(found.tallies[0].n_agreeing(), n_visible);
         assert_eq!(found.tallies[0].n_agreeing_facing(), n_visible);
+    }
+
+    #[test]
+    fn squared_errors_are_those_of_the_shares() {
+        let mut tally = Tally::default();
+        for (n_free, sees) in [(4, false), (8, true), (12, true), (16, false), (0, false)] {
+            let reply = Reply { visible: 2 * n_free >= SEGMENTS, n_free, is_far: false };
+            tally.count(Verdict { faces: true, sees }, Some(reply));
+        }
+        // 1/16 + 1/4 + 1/16 + 1 + 0, of five.
+        assert!((tally.squared_error() - 1.375 / 5.0).abs() < 1e-12, "{tally:?}");
+        assert_eq!((tally.n_false_visible, tally.n_false_invisible), (1, 0));
+        // Of answers that are yes or no it is the share that is wrong.
+        let mut tally = Tally::default();
+        for (visible, sees) in [(true, true), (true, false), (false, true), (false, false)] {
+            tally.count(Verdict { faces: true, sees }, Some(visible.into()));
+        }
+        assert!((tally.squared_error() - 0.5).abs() < 1e-12, "{tally:?}");
     }
 
     #[test]

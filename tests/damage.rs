@@ -209,7 +209,7 @@ fn f45_trailing_garbage_is_found_on_opening() {
 fn f46_another_version_or_an_unknown_flag_exits_78() {
     // Place, bytes, value: major, minor, required.
     let patches =
-        [(12, 2, 0), (12, 2, 2), (12, 2, 65_535), (14, 2, 1), (48, 8, 2), (48, 8, 1 << 63)];
+        [(12, 2, 0), (12, 2, 2), (12, 2, 65_535), (14, 2, 1), (48, 8, 4), (48, 8, 1 << 63)];
     let folder = Folder::new();
     for (at, n_bytes, value) in patches {
         let mut map = SOUND.map.clone();

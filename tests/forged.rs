@@ -140,38 +140,43 @@ fn f24_fractions_that_no_map_has_are_refused() {
     verify_map(&SOUND.map).unwrap();
     let sound = Parts::of(&SOUND.map, Kind::Map);
     let view = MapView::open(&SOUND.map).unwrap();
-    let found = view.partials().unwrap();
+    let found = view.fractions().unwrap();
     let pairs: Vec<(u32, u32)> = (0..found.n_blocks())
         .flat_map(|i| found.lists(i).unwrap().iter().collect::<Vec<_>>())
         .collect();
     let with = |pairs: &[(u32, u32)]| {
         let mut parts = sound.clone();
         let (frames, index) = frames_of(pairs);
-        *parts.bytes_mut("partials") = frames;
-        *parts.bytes_mut("partidx") = index;
+        *parts.bytes_mut("fraction") = frames;
+        *parts.bytes_mut("fracidx") = index;
         put(parts.bytes_mut("summary"), 56, pairs.len() as u64, 8);
         parts
     };
     assert!(with(&pairs).seal() == SOUND.map, "the same fractions are the same map");
     let refused = |parts: &Parts, what: &str| {
         let error = verify_map(&parts.seal()).expect_err(what);
+        let told = error.to_string();
         assert_eq!(exit_code(error), 65, "{what}");
+        told
     };
     let (a, numbers) = pairs[0];
     let n_nodes = view.summary().n_nodes;
     let leaf = (0..n_nodes).find(|&id| view.node(id).unwrap().is_leaf()).unwrap();
-    for (pair, what) in [
-        ((a, numbers / 32 * 32 + 17), "seventeen of sixteen"),
-        ((a, numbers / 32 * 32 + 31), "31 of sixteen"),
-        ((a, numbers ^ 1), "two fractions of a pair"),
+    let above = (a + 1..n_nodes).find(|&id| !view.node(id).unwrap().is_leaf()).unwrap();
+    for (pair, told) in [
+        ((a, numbers / 32 * 32 + 17), "more free segments"),
+        ((a, numbers / 32 * 32 + 31), "more free segments"),
+        ((a, numbers / 32 * 32 + (numbers + 1) % 16), "two visible fractions"),
         ((a, n_nodes * 32), "a node of no tree"),
-        ((0, leaf * 32 + 8), "the root and a leaf"),
+        ((0, leaf * 32 + 8), "one below it"),
+        ((a, above * 32 + 8), "no leaves"),
     ] {
         let mut more = pairs.clone();
         more.push(pair);
         more.sort_unstable();
         more.dedup();
-        refused(&with(&more), what);
+        let said = refused(&with(&more), told);
+        assert!(said.contains(told), "{said}");
     }
     let mut parts = with(&pairs);
     put(parts.bytes_mut("summary"), 56, pairs.len() as u64 + 1, 8);
@@ -181,7 +186,7 @@ fn f24_fractions_that_no_map_has_are_refused() {
     *config = String::from_utf8(config.clone()).unwrap().replace("fractions = true\n", "").into();
     refused(&parts, "fractions that the configuration does not name");
     let mut parts = sound.clone();
-    parts.sections.retain(|(name, ..)| !name.starts_with("part"));
+    parts.sections.retain(|(name, ..)| !name.starts_with("frac"));
     refused(&parts, "a configuration that names fractions where there are none");
 }
 

@@ -11,7 +11,7 @@ use pvmap_store::Table;
 use pvmap_visibility::bounds::{self, Bounds};
 use pvmap_visibility::candidates::{self, Family};
 use pvmap_visibility::sheets::Sheets;
-use pvmap_visibility::{pairs, partials};
+use pvmap_visibility::{fractions, pairs};
 
 const N_POINTS: u64 = 60_000;
 pub(crate) const PROFILE: Profile = Profile::Patch;
@@ -67,7 +67,7 @@ impl Room {
             families,
             sheets,
             profile: PROFILE,
-            tries: partials::Tries::default(),
+            tries: fractions::Tries::default(),
         }
     }
 }

@@ -116,9 +116,10 @@ pub(super) struct Args {
     /// this much (0 to 1) [depth8: 0]
     #[arg(long, value_name = "F", verbatim_doc_comment)]
     min_form_factor: Option<f64>,
-    /// Approximate: do not open pairs of cells that exchange less than this
-    /// share of all light, were nothing between; 16 segments say how much
-    /// of each other they see (query … pair --fraction) [depth8: 0]
+    /// Approximate: do not open a pair of cells that exchange less than
+    /// this share of all light (each pair by itself), were nothing between;
+    /// 16 segments say how much of each other they see (query … pair
+    /// --fraction); 1e-6 is quick, 1e-7 careful [depth8: 0]
     #[arg(long, value_name = "SHARE", verbatim_doc_comment)]
     min_exchange: Option<f64>,
     /// Try pairs of leaves half in shadow by 16 segments and keep how many
@@ -235,6 +236,9 @@ fn print(output: &Path, built: &Built, context: &Context) -> std::io::Result<()>
         square(s.n_surfels)
     )?;
     let a_link = built.report.link_bytes as f64 / (s.n_links as f64).max(1.0);
+    if s.n_fractions > 0 {
+        writeln!(out, "  fractions {} pairs of nodes seen in part", s.n_fractions)?;
+    }
     writeln!(out, "  disk      {}, {a_link:.2} bytes a link", mib(built.report.output_bytes))?;
     let c = &built.report.counts;
     writeln!(

@@ -185,7 +185,7 @@ fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
     let n_pairs = n * n.saturating_sub(1) / 2;
     let fewer = fewer_links(s.n_links, s.n_surfels);
     let config = view.config()?.trim_end();
-    let partials = view.partials().map(|_| ("visible_fractions", one(s.n_partials)));
+    let fractions = view.fractions().map(|_| ("visible_fractions", one(s.n_fractions)));
     let before = vec![
         ("kind", one("map")),
         ("format", one(version(view.file().version()))),
@@ -203,7 +203,7 @@ fn map(view: &MapView<'_>, n_bytes: usize) -> Result<Fields, FormatError> {
         ("frame", frame(view.frame(), view.crs()?)),
         ("digest", one(format!("{:032x}", s.digest))),
     ];
-    Ok(before.into_iter().chain(partials).chain(behind).collect())
+    Ok(before.into_iter().chain(fractions).chain(behind).collect())
 }
 
 fn size(n_bytes: usize) -> Field {

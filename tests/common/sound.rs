@@ -75,7 +75,7 @@ pub fn ask(bytes: &[u8]) -> Vec<Result<Answer, QueryError>> {
     answers.push(view.crs().map(|crs| Answer::Text(format!("{crs:?}"))).map_err(Into::into));
     answers.extend((0..view.n_nodes()).map(|id| Ok(Answer::Node(view.node(id)?))));
     answers.extend((0..view.summary().n_surfels).map(|id| Ok(Answer::Surfel(view.surfel(id)?))));
-    for pairs in [Some(view.links()), view.partials()].into_iter().flatten() {
+    for pairs in [Some(view.links()), view.fractions()].into_iter().flatten() {
         answers.extend((0..pairs.n_blocks()).map(|i| Ok(Answer::Links(pairs.lists(i)?))));
     }
     let located: Vec<_> = places().map(|p| map.locate(&p, Snap::Within(1.0))).collect();

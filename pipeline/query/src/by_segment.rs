@@ -107,7 +107,7 @@ impl Map<'_> {
         let by_leaves = self.pair_with(lookup, &a.located, &b.located)?;
         // Nodes that a sample stands for may see each other in part.
         let is_wide = by_leaves.link.as_ref().is_some_and(is_wide)
-            && self.tried(lookup, &a.located, &b.located)?.is_none();
+            && !(self.is_coarse() && self.tried(lookup, &a.located, &b.located)?.is_some());
         let settled_by = self.settle(a, b, is_wide)?;
         let visible = !matches!(settled_by, SettledBy::Facing | SettledBy::Blocker(_));
         Ok(SegmentAnswer { visible, settled_by, by_leaves })

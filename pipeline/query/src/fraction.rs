@@ -1,7 +1,7 @@
 //! How much of each other the leaves of two places see. Source: FORMAT.md [F-24].
 
-use pvmap_vmap::Partial;
-use pvmap_vmap::partial::SEGMENTS;
+use pvmap_vmap::Fraction;
+use pvmap_vmap::fraction::SEGMENTS;
 
 use crate::error::QueryError;
 use crate::frames::Lookup;
@@ -31,7 +31,7 @@ impl FractionAnswer {
 impl Map<'_> {
     /// Says whether the map was built with visible fractions.
     pub fn has_fractions(&self) -> bool {
-        self.view().partials().is_some()
+        self.view().fractions().is_some()
     }
 
     /// Gives how much the leaves of two located places see of each other; without visible fractions
@@ -54,7 +54,7 @@ impl Map<'_> {
         let links_say = if by_leaves.visible { SEGMENTS } else { 0 };
         Ok(match self.tried(lookup, a, b)? {
             None => FractionAnswer { n_free: links_say, tried: None, by_leaves },
-            Some(Partial { a: x, b: y, n_free }) => {
+            Some(Fraction { a: x, b: y, n_free }) => {
                 let tried = Some(if a.node < b.node { (x, y) } else { (y, x) });
                 FractionAnswer { n_free, tried, by_leaves }
             }
@@ -67,12 +67,15 @@ impl Map<'_> {
         lookup: &mut Lookup<'_, '_>,
         a: &Located,
         b: &Located,
-    ) -> Result<Option<Partial>, QueryError> {
+    ) -> Result<Option<Fraction>, QueryError> {
         if !self.has_fractions() || a.node == b.node {
             return Ok(None);
         }
+        if !self.is_coarse() {
+            return Ok(lookup.fraction((a.node.min(b.node), a.node.max(b.node)))?);
+        }
         for (x, y) in self.links_over(lookup, a, b)?.iter() {
-            if let Some(found) = lookup.partial((x, y))? {
+            if let Some(found) = lookup.fraction((x, y))? {
                 return Ok(Some(found));
             }
         }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pvmap_vmap::links::LinkLists;
-use pvmap_vmap::{FormatError, MapView, Pairs, Partial};
+use pvmap_vmap::{FormatError, Fraction, MapView, Pairs};
 
 use crate::adjacency::Adjacency;
 use crate::map::Map;
@@ -70,6 +70,9 @@ impl LinkFrames {
     }
 }
 
+/// What is wrong with a pair that no map has. [F-24]
+const TOO_MANY: &str = "more free segments than were tried";
+
 /// Looks links and visible fractions up, best in rising order: the frame of one is often that of
 /// the next.
 #[derive(Debug)]
@@ -79,7 +82,7 @@ pub(crate) struct Lookup<'m, 'a> {
     all: Option<&'m Adjacency>,
     links: Cursor<'m, 'a>,
     /// Where the map has visible fractions.
-    partials: Option<Cursor<'m, 'a>>,
+    fractions: Option<Cursor<'m, 'a>>,
 }
 
 impl<'m, 'a> Lookup<'m, 'a> {
@@ -87,8 +90,8 @@ impl<'m, 'a> Lookup<'m, 'a> {
         let view = map.view();
         let all = map.kept().and_then(|kept| kept.adjacency.as_ref());
         let links = Cursor::new(view.links(), &map.frames);
-        let partials = view.partials().map(|pairs| Cursor::new(pairs, &map.partial_frames));
-        Lookup { view, all, links, partials }
+        let fractions = view.fractions().map(|pairs| Cursor::new(pairs, &map.fraction_frames));
+        Lookup { view, all, links, fractions }
     }
 
     /// Gives the parent of a node.
@@ -117,11 +120,16 @@ impl<'m, 'a> Lookup<'m, 'a> {
     }
 
     /// Gives the visible fraction of (a, b), a < b, where the map has one. [F-24]
-    pub(crate) fn partial(&mut self, (a, b): (u32, u32)) -> Result<Option<Partial>, FormatError> {
-        let Some(partials) = &mut self.partials else { return Ok(None) };
-        let numbers = partials.partner_from(a, Partial::first_of(b))?;
-        let found = numbers.and_then(|numbers| Partial::of_pair((a, numbers)));
-        Ok(found.filter(|partial| partial.b == b))
+    pub(crate) fn fraction(&mut self, (a, b): (u32, u32)) -> Result<Option<Fraction>, FormatError> {
+        let Some(fractions) = &mut self.fractions else { return Ok(None) };
+        let Some(numbers) = fractions.partner_from(a, Fraction::first_of(b))? else {
+            return Ok(None);
+        };
+        let broken = || self.view.file().section("fraction", 0).map(|s| s.broken(0, TOO_MANY));
+        match Fraction::of_pair((a, numbers)) {
+            Some(found) => Ok(Some(found).filter(|fraction| fraction.b == b)),
+            None => Err(broken()?),
+        }
     }
 }
 

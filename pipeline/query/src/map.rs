@@ -28,7 +28,7 @@ pub struct Map<'a> {
     is_slanted: bool,
     is_coarse: bool,
     pub(crate) frames: LinkFrames,
-    pub(crate) partial_frames: LinkFrames,
+    pub(crate) fraction_frames: LinkFrames,
     pub(crate) kept: OnceLock<Kept>,
     pub(crate) discs: OnceLock<Discs>,
 }
@@ -43,6 +43,11 @@ impl<'a> Map<'a> {
         let config = view.config()?;
         let profile = view.profile()?;
         let has_key = |key| config.lines().any(|line| line.split(" = ").next() == Some(key));
+        let has_fractions = view.fractions().is_some();
+        if (has_key("fractions") || has_key("min_exchange")) != has_fractions {
+            let what = "names visible fractions, or the file has some";
+            return Err(view.file().section("config", 0)?.broken(0, what).into());
+        }
         let is_slanted = has_key("opening_angle") || has_key("interaction_pairs");
         Ok(Map {
             view,
@@ -50,7 +55,11 @@ impl<'a> Map<'a> {
             is_slanted,
             is_coarse: has_key("opening_angle") || has_key("min_exchange"),
             frames: LinkFrames::default(),
-            partial_frames: LinkFrames::default(),
+            fraction_frames: if has_fractions {
+                LinkFrames::default()
+            } else {
+                LinkFrames::within(0)
+            },
             kept: OnceLock::new(),
             discs: OnceLock::new(),
         })
@@ -62,8 +71,8 @@ impl<'a> Map<'a> {
     /// # Errors
     /// Those of [`Map::open`].
     pub fn open_within(bytes: &'a [u8], cache_bytes: u64) -> Result<Map<'a>, QueryError> {
-        let (frames, partial_frames) = (LinkFrames::within(cache_bytes), LinkFrames::within(0));
-        Ok(Map { frames, partial_frames, ..Map::open(bytes)? })
+        let (frames, fraction_frames) = (LinkFrames::within(cache_bytes), LinkFrames::within(0));
+        Ok(Map { frames, fraction_frames, ..Map::open(bytes)? })
     }
 
     /// Gives the file behind the answers.

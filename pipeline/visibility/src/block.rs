@@ -6,19 +6,21 @@ use std::ops::Range;
 
 use pvmap_geometry::{Box3, disc};
 use pvmap_store::runs::Pair;
-use pvmap_vmap::partial::SEGMENTS;
-use pvmap_vmap::{Partial, Tree};
+use pvmap_vmap::fraction::SEGMENTS;
+use pvmap_vmap::{Fraction, Tree};
 
 use crate::candidates::{self, Corridor, Depth, Kept, refine};
 use crate::ends::Ends;
+use crate::fractions::{self, N_ENDS};
 use crate::kernel::{Blockers, Counts, Recent};
 use crate::packets::{Packet, Shot, WIDTH, pack};
 use crate::pairs::{Scene, Status};
-use crate::partials::{self, N_ENDS};
 use crate::screen::Screen;
 
 /// Entries of a list of candidates that are opened to leaves before it is seen what is still open.
 const PIECE: usize = 16;
+/// Families whose leaves are loaded at once, to try a segment of any length: some 60 KiB.
+const LOADED: usize = 128;
 /// Children of a node at most.
 const MAX_KIDS: usize = 8;
 /// Discs of late memory pay where they block at least one in so many segments.
@@ -131,7 +133,7 @@ impl<'a> BlockDecider<'a> {
     ) -> u8 {
         let Scene { tree, discs, profile, .. } = self.scene;
         for (side, id) in self.sides.iter_mut().zip([a, b]) {
-            let ends = partials::representatives(tree, id).into_iter();
+            let ends = fractions::representatives(tree, id).into_iter();
             let ends = ends.map(|surfel| (surfel, discs[surfel as usize].centroid));
             side.load_at(discs, ends, profile);
         }
@@ -177,7 +179,7 @@ impl<'a> BlockDecider<'a> {
             }
             for i in 0..2 {
                 let places = surfels[i][..n[i]].iter().flat_map(|&surfel| {
-                    partials::places(&tree.surfels[surfel as usize]).map(|place| (surfel, place))
+                    fractions::places(&tree.surfels[surfel as usize]).map(|place| (surfel, place))
                 });
                 self.sides[i].load_at(discs, places, profile);
             }
@@ -200,8 +202,8 @@ impl<'a> BlockDecider<'a> {
                     let is_visible = by_centroids[(x - first[0]) as usize] >> (y - first[1]) & 1;
                     if n_free != SEGMENTS * is_visible as u8 {
                         let [x, y] = [x, y].map(|surfel| tree.surfels[surfel as usize].node);
-                        let partial = Partial { a: x.min(y), b: x.max(y), n_free };
-                        links.push(partials::marked(partial));
+                        let fraction = Fraction { a: x.min(y), b: x.max(y), n_free };
+                        links.push(fractions::marked(fraction));
                     }
                 }
             }
@@ -227,7 +229,9 @@ impl<'a> BlockDecider<'a> {
             let start = candidates.len();
             self.refine(Depth::Leaves, candidates, piece);
             self.is_tried = true;
-            self.try_leaves(&candidates[start..]);
+            for some in candidates[start..].chunks(LOADED) {
+                self.try_leaves(some);
+            }
             self.is_tried = false;
             candidates.truncate(start);
         }

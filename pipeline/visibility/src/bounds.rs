@@ -11,7 +11,7 @@ use pvmap_store::{StoreError, Table};
 use pvmap_vmap::Tree;
 use rayon::prelude::*;
 
-use crate::partials;
+use crate::fractions;
 
 /// Bounds of the surfels of a subtree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -187,7 +187,7 @@ pub fn of_tree(
         let id = node.first_surfel as usize;
         *leaf = of_leaf(&discs[id], profile);
         if are_tried {
-            let places = partials::places(&tree.surfels[id]).map(Box3::at);
+            let places = fractions::places(&tree.surfels[id]).map(Box3::at);
             leaf.centroids = places.iter().fold(leaf.centroids, |all, place| all.join(place));
         }
     });

@@ -12,8 +12,8 @@ use pvmap_geometry::{Box3, Rect};
 use pvmap_store::memory::require_disk;
 use pvmap_store::runs::{Pair, Runs};
 use pvmap_store::{StoreError, Table, Watch, WorkFolder};
+use pvmap_vmap::fraction::MAX_NODES;
 use pvmap_vmap::frame::FrameRecord;
-use pvmap_vmap::partial::MAX_NODES;
 use pvmap_vmap::{MapConfig, MapSummary, Shape, Spacing, Tree};
 use rayon::prelude::*;
 
@@ -21,12 +21,12 @@ use crate::bounds::{self, Bounds};
 use crate::candidates::{self, Family};
 use crate::error::VisibilityError;
 use crate::exchange::Exchange;
+use crate::fractions::{MARK, Tries};
 use crate::interaction::{GIVEN_BYTES, checked_pairs};
 use crate::journal::{self, Begun, Journal, SavedPlan};
 use crate::kernel::Counts;
 use crate::layers::{Approximation, Layer, layers};
 use crate::pairs::{Decider, Scene};
-use crate::partials::Tries;
 use crate::shares::{MAX_LINKS_ABOVE, Shares};
 use crate::sheets::Sheets;
 use crate::sink::{Found, Sink, Taken};
@@ -129,8 +129,9 @@ pub fn build(
     };
     let config = config_of(options, options.interaction.as_ref().map(|_| starts.as_slice()));
     let (approximation, memory_bytes) = (&options.approximation, options.memory_bytes);
-    if config.has_partials() && tree.nodes.len() > MAX_NODES as usize {
-        return Err(VisibilityError::ManyNodes { n_nodes: tree.nodes.len() as u64 });
+    let most = if config.has_fractions() { MAX_NODES } else { MARK };
+    if tree.nodes.len() > most as usize {
+        return Err(VisibilityError::ManyNodes { n_nodes: tree.nodes.len() as u64, most });
     }
     let mut saved = plan_of(input, &config);
     let layers = if approximation.is_layered() {
@@ -138,7 +139,7 @@ pub fn build(
     } else {
         vec![Layer::all(tree, starts)]
     };
-    if approximation.is_layered() || config.has_partials() {
+    if approximation.is_layered() || config.has_fractions() {
         let trees: Vec<&Tree> = layers.iter().map(|layer| &*layer.tree).collect();
         let lists_bytes = layers.iter().map(Layer::lists_bytes).sum::<u64>();
         let outlines_bytes = match approximation.min_exchange > 0.0 {
@@ -148,6 +149,7 @@ pub fn build(
         let held_bytes = given_bytes + lists_bytes + outlines_bytes;
         shares = Shares::new(&trees, held_bytes, memory_bytes)?;
     }
+    let full_links = shares.plan.task_links as usize;
     if options.fractions {
         // A task may find a link and a fraction for each of its leaf pairs.
         shares.plan.task_links /= 2;
@@ -182,7 +184,6 @@ pub fn build(
     let done = |task: u32, status| statuses[task as usize] = Some(status);
     let journal = Journal::new(work, saved, &plans, begun, &mut runs, watch, done)?;
     let n_tasks_resumed = statuses.iter().flatten().count() as u64;
-    let full_links = shares.plan.task_links as usize;
     let sink = Sink::new(runs, statuses, journal, full_links, options.checkpoint);
     let counts = decide(&scenes, &layers, n_pairs, &plans, &sink, watch)?;
     let Taken { mut runs, statuses, journal, .. } = sink.into_taken();

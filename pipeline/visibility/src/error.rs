@@ -44,15 +44,16 @@ pub enum VisibilityError {
     /// A task panicked, which is a bug; what was done by then is kept.
     #[error("a bug: {0}")]
     Panicked(String),
-    /// A map with visible fractions cannot have so many nodes. [F-24]
+    /// A map, or one with visible fractions [F-24], cannot have so many nodes.
     #[error(
-        "{n_nodes} nodes: a map with visible fractions has at most {}; lower max_level or raise \
-         leaf_capacity",
-        pvmap_vmap::partial::MAX_NODES
+        "{n_nodes} nodes, where such a map has at most {most}; lower max_level or raise \
+         leaf_capacity"
     )]
     ManyNodes {
         /// Nodes of the tree.
         n_nodes: u64,
+        /// The most that are possible.
+        most: u32,
     },
     /// Given interaction pairs break a rule.
     #[error("interaction pairs {rows:?}: {fault}")]

@@ -24,9 +24,9 @@ use pvmap_store::memory::require;
 use pvmap_store::runs::Pair;
 use pvmap_store::{StoreError, Watch};
 use pvmap_vmap::records::NO_PARENT;
-use pvmap_vmap::{Node, Partial, Spacing, Split, Surfel, Tree};
+use pvmap_vmap::{Fraction, Node, Spacing, Split, Surfel, Tree};
 
-use crate::partials;
+use crate::fractions;
 use crate::shares::fixed_bytes;
 use crate::tasks::n_leaf_pairs;
 
@@ -93,11 +93,11 @@ impl<'a> Layer<'a> {
     pub fn make_whole(&self, pairs: &mut [Pair]) {
         if !self.nodes.is_empty() {
             pairs.iter_mut().for_each(|pair| {
-                *pair = match partials::unmarked(*pair) {
+                *pair = match fractions::unmarked(*pair) {
                     None => self.whole(*pair),
-                    Some(Partial { a, b, n_free }) => {
+                    Some(Fraction { a, b, n_free }) => {
                         let (a, b) = self.whole((a, b));
-                        partials::marked(Partial { a, b, n_free })
+                        fractions::marked(Fraction { a, b, n_free })
                     }
                 }
             });

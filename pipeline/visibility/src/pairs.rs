@@ -9,15 +9,15 @@ use std::ops::Range;
 
 use pvmap_geometry::disc::{Disc, Profile};
 use pvmap_store::runs::Pair;
-use pvmap_vmap::partial::SEGMENTS;
-use pvmap_vmap::{Partial, Tree};
+use pvmap_vmap::fraction::SEGMENTS;
+use pvmap_vmap::{Fraction, Tree};
 
 use crate::block::BlockDecider;
 use crate::bounds::{self, Bounds, Facing};
 use crate::candidates::{self, Corridor, Depth, Family, Kept, refine};
 use crate::ends::MAX_ENDS;
+use crate::fractions::{self, Tries, take_back};
 use crate::kernel::Counts;
-use crate::partials::{self, Tries, take_back};
 use crate::sheets::Sheets;
 
 /// What all leaf pairs of a node pair have in common. Source: DESIGN.md [V-4].
@@ -241,8 +241,8 @@ impl<'a> Decider<'a> {
     /// Settles a pair by a sample: by the more of its segments, and how many these are is noted.
     fn try_nodes(&mut self, (a, b): Pair, list: Range<usize>, links: &mut Vec<Pair>) -> Status {
         let n_free = self.block.try_nodes((a, b), &mut self.candidates, list);
-        if !n_free.is_multiple_of(SEGMENTS) {
-            links.push(partials::marked(Partial { a: a.min(b), b: a.max(b), n_free }));
+        if n_free > 0 {
+            links.push(fractions::marked(Fraction { a: a.min(b), b: a.max(b), n_free }));
         }
         if n_free >= SEGMENTS / 2 { Status::Visible } else { Status::Invisible }
     }

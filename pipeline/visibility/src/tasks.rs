@@ -19,7 +19,8 @@ use crate::pairs::{Scene, Status};
 const TASKS: u64 = 4096;
 /// A pair of at most so many leaf pairs is not cut further: the overhead of tasks would show.
 const MIN_TASK_PAIRS: u64 = 4096;
-/// A task has at most so many leaf pairs: some 0.1 s, between two looks at whether to stop.
+/// A task has at most so many leaf pairs, unless it is tried by a sample: some 0.1 s, between two
+/// looks at whether to stop.
 const MAX_TASK_PAIRS: u64 = 1 << 20;
 
 /// All siblings under a node are one task where they have at most so many leaf pairs: those of 16
@@ -54,7 +55,8 @@ enum By {
 /// What a plan must keep to.
 #[derive(Debug, Clone, Copy)]
 pub struct PlanLimits {
-    /// Most links that a task may find: links are no more than leaf pairs.
+    /// Most leaf pairs of a task: it finds a link for each at the most, and a visible fraction
+    /// where these are asked for.
     pub task_links: u64,
     /// Memory for the plan and what comes of it.
     pub memory_bytes: u64,

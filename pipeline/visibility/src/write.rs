@@ -14,14 +14,14 @@ use pvmap_vmap::{MapConfig, MapSummary, Node, Surfel, Tree};
 
 use crate::build::MapInput;
 use crate::error::VisibilityError;
+use crate::fractions;
 use crate::journal::{self, Journal};
-use crate::partials;
 
 /// What a map has at the least: how many links there will be nobody knows before (F21).
 pub(crate) fn least_output_bytes(input: &MapInput<'_>, config: &MapConfig) -> u64 {
     let Tree { nodes, surfels, rects } = input.tree;
     let records = nodes.len() * Node::BYTES + surfels.len() * Surfel::BYTES;
-    let n_sections = section_names(config.profile, config.has_partials()).len();
+    let n_sections = section_names(config.profile, config.has_fractions()).len();
     head_bytes(n_sections) + (records + rects.len() * Rect::BYTES) as u64
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn write(
     watch: &dyn Watch,
 ) -> Result<WrittenMap, VisibilityError> {
     let tree = input.tree;
-    let names = section_names(config.profile, config.has_partials());
+    let names = section_names(config.profile, config.has_fractions());
     let mut file = SectionFile::create_in(journal.work(), journal::MAP, head_bytes(names.len()))?;
     // The summary is known last but stands first: its room is taken now.
     let room = file.whole(&[0; MapSummary::BYTES])?;
@@ -53,11 +53,11 @@ pub(crate) fn write(
     let nodes = write_records(&mut file, &tree.nodes)?;
     let surfels = write_records(&mut file, &tree.surfels)?;
     let written = write_links(&mut file, config, tree, runs, watch)?;
-    let WrittenLinks { links, partials, n_visible_pairs, temporary_bytes } = written;
+    let WrittenLinks { links, fractions, n_visible_pairs, temporary_bytes } = written;
     let link_bytes = links.section.len_bytes;
     let index = write_records(&mut file, &links.index)?;
-    let partial_index = match &partials {
-        Some(partials) => Some(write_records(&mut file, &partials.index)?),
+    let fraction_index = match &fractions {
+        Some(fractions) => Some(write_records(&mut file, &fractions.index)?),
         None => None,
     };
     let frame = file.whole(&input.frame.to_bytes())?;
@@ -69,7 +69,7 @@ pub(crate) fn write(
         n_links: links.n_pairs,
         n_visible_pairs,
         digest: input.digest,
-        n_partials: partials.as_ref().map_or(0, |partials| partials.n_pairs),
+        n_fractions: fractions.as_ref().map_or(0, |fractions| fractions.n_pairs),
     };
     let room = file.rewrite(&room, &summary.to_bytes())?;
     let rects = match config.profile {
@@ -86,9 +86,9 @@ pub(crate) fn write(
     let behind = [(frame, FrameRecord::BYTES), (crs, 0)];
     let sections: Vec<(Section, usize)> = before
         .into_iter()
-        .chain(partials.map(|partials| (partials.section, 0)))
+        .chain(fractions.map(|fractions| (fractions.section, 0)))
         .chain([(index, LinkBlock::BYTES)])
-        .chain(partial_index.map(|index| (index, LinkBlock::BYTES)))
+        .chain(fraction_index.map(|index| (index, LinkBlock::BYTES)))
         .chain(behind)
         .chain(rects.map(|rects| (rects, Rect::BYTES)))
         .collect();
@@ -125,7 +125,7 @@ fn write_records<R: Record>(file: &mut SectionFile, records: &[R]) -> Result<Sec
 struct WrittenLinks {
     links: WrittenPairs,
     /// Where the map has fractions.
-    partials: Option<WrittenPairs>,
+    fractions: Option<WrittenPairs>,
     n_visible_pairs: u128,
     temporary_bytes: u64,
 }
@@ -161,28 +161,28 @@ fn write_links(
     };
     let mut writer = PairWriter::new(file.stream(), watch)?;
     let mut links = None;
-    runs.merge(|pair| match partials::unmarked(pair) {
+    runs.merge(|pair| match fractions::unmarked(pair) {
         None => {
             n_visible_pairs += n_leaves(pair.0) * n_leaves(pair.1);
             writer.push(pair)
         }
-        Some(partial) => {
+        Some(fraction) => {
             // These come behind all links.
             if links.is_none() {
                 links = Some(writer.start_next()?);
             }
-            writer.push(partial.to_pair())
+            writer.push(fraction.to_pair())
         }
     })?;
-    if links.is_none() && config.has_partials() {
+    if links.is_none() && config.has_fractions() {
         links = Some(writer.start_next()?);
     }
     let last = writer.start_next()?;
-    let (links, partials) = match links {
+    let (links, fractions) = match links {
         Some(links) => (links, Some(last)),
         None => (last, None),
     };
-    Ok(WrittenLinks { links, partials, n_visible_pairs, temporary_bytes })
+    Ok(WrittenLinks { links, fractions, n_visible_pairs, temporary_bytes })
 }
 
 /// Writes sections of pairs, one behind the other.

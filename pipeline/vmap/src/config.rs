@@ -75,7 +75,7 @@ impl MapConfig {
     }
 
     /// Says whether the map has the sections of visible fractions. [F-24]
-    pub fn has_partials(&self) -> bool {
+    pub fn has_fractions(&self) -> bool {
         self.fractions || self.min_exchange > 0.0
     }
 

@@ -21,6 +21,8 @@ const SUMS: &str = "sums";
 const MAX_SECTIONS: u32 = 32;
 /// The section of rectangles, and the flag of `required` that a map has it. [F-22]
 pub(crate) const RECTS: (&str, u64) = ("rects", 1);
+/// The same of visible fractions. [F-24]
+pub(crate) const FRACTIONS: (&str, u64) = ("fraction", 2);
 
 /// Which artifact a file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,7 +88,8 @@ pub fn head_bytes(n_sections: usize) -> u64 {
 
 /// Makes what closes a file: header, table and `sums`, from its sections in file order.
 pub fn close(kind: Kind, sections: &[Written]) -> Closing {
-    let has_rects = sections.iter().any(|s| s.name == RECTS.0);
+    let has = |name| sections.iter().any(|s| s.name == name);
+    let flags = [RECTS, FRACTIONS].map(|(name, flag)| if has(name) { flag } else { 0 });
     let sums: Vec<u8> =
         sections.iter().flat_map(|s| &s.sums).flat_map(|c| c.to_le_bytes()).collect();
     let sums_offset_bytes =
@@ -121,7 +124,7 @@ pub fn close(kind: Kind, sections: &[Written]) -> Closing {
     let root = root_of(&header[..32], table, &sums);
     let mut w = FieldWriter::new(&mut header[32..]);
     w.u128(root);
-    w.u64(if has_rects { RECTS.1 } else { 0 });
+    w.u64(flags.iter().sum());
     w.u32(crc32fast::hash(&sums));
     let crc = crc32fast::hash(&header[..60]);
     FieldWriter::new(&mut header[60..]).u32(crc);
@@ -398,7 +401,7 @@ fn read_header(bytes: &[u8], kind: Kind) -> Result<Header, FormatError> {
         return Err(FormatError::Version { major, minor, ours: OURS });
     }
     let known = match kind {
-        Kind::Map => RECTS.1,
+        Kind::Map => RECTS.1 | FRACTIONS.1,
         Kind::Octree => 0,
     };
     if required & !known != 0 {

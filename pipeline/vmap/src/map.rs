@@ -5,11 +5,11 @@ use pvmap_geometry::{Box3, Rect, morton};
 
 use crate::bytes::FieldReader;
 use crate::config::{MapConfig, profile_of};
-use crate::container::{Closing, Container, Kind, RECTS, Section, Written, close};
+use crate::container::{Closing, Container, FRACTIONS, Kind, RECTS, Section, Written, close};
 use crate::error::FormatError;
+use crate::fraction::Fraction;
 use crate::frame::{CrsKind, FrameRecord};
 use crate::pairs::{PairSections, Pairs};
-use crate::partial::Partial;
 use crate::records::{MapSummary, NO_PARENT, Node, Record, Split, Surfel};
 use crate::tree::{Nodes, overhang};
 
@@ -22,13 +22,13 @@ pub const RECTS_SECTION: &str = RECTS.0;
 
 /// The sections of a map with visible fractions, the first behind `links`, the second behind
 /// `linkidx`. [F-24]
-const PARTIAL_SECTIONS: [&str; 2] = ["partials", "partidx"];
+const FRACTION_SECTIONS: [&str; 2] = [FRACTIONS.0, "fracidx"];
 
 /// Names the sections of a map in file order, without `sums`.
-pub fn section_names(profile: Profile, has_partials: bool) -> Vec<&'static str> {
+pub fn section_names(profile: Profile, has_fractions: bool) -> Vec<&'static str> {
     let with = |name| match name {
-        "links" if has_partials => vec![name, PARTIAL_SECTIONS[0]],
-        "linkidx" if has_partials => vec![name, PARTIAL_SECTIONS[1]],
+        "links" if has_fractions => vec![name, FRACTION_SECTIONS[0]],
+        "linkidx" if has_fractions => vec![name, FRACTION_SECTIONS[1]],
         _ => vec![name],
     };
     let rects = (profile == Profile::Oriented).then_some(RECTS_SECTION);
@@ -51,7 +51,7 @@ pub struct MapView<'a> {
     /// With profile `oriented`.
     rects: Option<Section>,
     /// With visible fractions.
-    partials: Option<PairSections>,
+    fractions: Option<PairSections>,
 }
 
 impl<'a> MapView<'a> {
@@ -70,9 +70,9 @@ impl<'a> MapView<'a> {
             0 => None,
             _ => Some(file.section(RECTS_SECTION, Rect::BYTES as u32)?.clone()),
         };
-        let partials = match file.section(PARTIAL_SECTIONS[0], 0) {
-            Ok(_) => Some(PairSections::of(&file, PARTIAL_SECTIONS)?),
-            Err(_) => None,
+        let fractions = match file.required() & FRACTIONS.1 {
+            0 => None,
+            _ => Some(PairSections::of(&file, FRACTION_SECTIONS)?),
         };
         let counted = [(&nodes, summary.n_nodes), (&surfels, summary.n_surfels)];
         let cut = rects.iter().map(|rects| (rects, summary.n_surfels));
@@ -82,7 +82,7 @@ impl<'a> MapView<'a> {
                 return Err(section.broken(0, format!("{found} records, summary says {expected}")));
             }
         }
-        Ok(MapView { file, summary, frame, nodes, surfels, links, rects, partials })
+        Ok(MapView { file, summary, frame, nodes, surfels, links, rects, fractions })
     }
 
     /// Gives the file around the sections.
@@ -157,10 +157,10 @@ impl<'a> MapView<'a> {
         Pairs::new(&self.file, &self.links)
     }
 
-    /// Gives the pairs with visible fractions, as [`Partial`] reads them; none where the map has no
-    /// fractions. [F-24]
-    pub fn partials(&self) -> Option<Pairs<'_, 'a>> {
-        self.partials.as_ref().map(|sections| Pairs::new(&self.file, sections))
+    /// Gives the pairs with visible fractions, as [`Fraction`] reads them; none where the map has
+    /// none. [F-24]
+    pub fn fractions(&self) -> Option<Pairs<'_, 'a>> {
+        self.fractions.as_ref().map(|sections| Pairs::new(&self.file, sections))
     }
 
     /// Reads the parent of a node, and nothing else of its record; [`NO_PARENT`] of the root.
@@ -205,14 +205,14 @@ impl<'a> MapView<'a> {
         self.verify_config()?;
         self.verify_tree()?;
         self.verify_links(tell)?;
-        self.verify_partials(tell)
+        self.verify_fractions(tell)
     }
 
     /// Counts the bytes that verifying goes through: the whole file, then links and visible
     /// fractions again.
     pub fn verify_bytes(&self) -> u64 {
-        let of_partials = self.partials().map_or(0, |partials| partials.len_bytes());
-        self.file.len_bytes() + self.links().len_bytes() + of_partials
+        let of_fractions = self.fractions().map_or(0, |fractions| fractions.len_bytes());
+        self.file.len_bytes() + self.links().len_bytes() + of_fractions
     }
 
     fn verify_config(&self) -> Result<(), FormatError> {
@@ -220,7 +220,7 @@ impl<'a> MapView<'a> {
         let broken = |what| Ok(self.file.section("config", 0)?.broken(0, what));
         match MapConfig::of_text(text) {
             None => broken("not the keys of a map in their canonical form").and_then(Err)?,
-            Some(config) if config.has_partials() != self.partials.is_some() => {
+            Some(config) if config.has_fractions() != self.fractions.is_some() => {
                 broken("names visible fractions, or the file has some").and_then(Err)?;
             }
             Some(_) => {}
@@ -342,24 +342,31 @@ impl<'a> MapView<'a> {
         Ok(())
     }
 
-    fn verify_partials(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
-        let Some(partials) = self.partials() else { return Ok(()) };
+    fn verify_fractions(&self, tell: &mut dyn FnMut(u64)) -> Result<(), FormatError> {
+        let Some(fractions) = self.fractions() else { return Ok(()) };
+        let config = MapConfig::of_text(self.config()?);
+        let of_leaves = config.is_some_and(|c| c.opening_angle == 0.0 && c.min_exchange == 0.0);
         let mut before = None;
         let each = |a: u32, numbers: u32| {
-            let fault = match Partial::of_pair((a, numbers)) {
+            let fault = match Fraction::of_pair((a, numbers)) {
                 None => Some("more free segments than were tried"),
-                Some(Partial { b, .. }) if b >= self.summary.n_nodes => Some("a node of no tree"),
-                Some(Partial { b, .. }) if b < self.node(a)?.end => {
+                Some(Fraction { b, .. }) if b >= self.summary.n_nodes => Some("a node of no tree"),
+                Some(Fraction { b, .. }) if b < self.node(a)?.end => {
                     Some("a pair of a node and one below it")
                 }
-                Some(Partial { b, .. }) if before.replace((a, b)) == Some((a, b)) => {
+                Some(Fraction { b, .. }) if before.replace((a, b)) == Some((a, b)) => {
                     Some("a pair that has two visible fractions")
+                }
+                Some(Fraction { b, .. })
+                    if of_leaves && !(self.node(a)?.is_leaf() && self.node(b)?.is_leaf()) =>
+                {
+                    Some("a visible fraction of nodes that are no leaves")
                 }
                 Some(_) => None,
             };
             Ok(fault.map(str::to_owned))
         };
-        partials.verify(self.summary.n_partials, each, tell)
+        fractions.verify(self.summary.n_fractions, each, tell)
     }
 }
 

@@ -291,7 +291,7 @@ pub struct MapSummary {
     /// Order-free digest of the octree's points.
     pub digest: u128,
     /// Pairs with a visible fraction of their own. [F-24]
-    pub n_partials: u64,
+    pub n_fractions: u64,
 }
 
 impl Record for MapSummary {
@@ -304,7 +304,7 @@ impl Record for MapSummary {
         w.u64(self.n_links);
         w.u128(self.n_visible_pairs);
         w.u128(self.digest);
-        w.u64(self.n_partials);
+        w.u64(self.n_fractions);
     }
 
     fn read(r: &mut FieldReader<'_>) -> Option<MapSummary> {
@@ -315,7 +315,7 @@ impl Record for MapSummary {
             n_links: r.u64(),
             n_visible_pairs: r.u128(),
             digest: r.u128(),
-            n_partials: r.u64(),
+            n_fractions: r.u64(),
         })
     }
 }

@@ -46,7 +46,8 @@ fn told(map: &Map<'_>, found: &WideSurfels, surfel: &Surfel, cure: Option<u16>) 
     };
     let advice = match cure {
         Some(spread) => format!("build --max-spread {spread} may cut them"),
-        None => "no --max-spread cuts them: stray points of the scan".to_owned(),
+        None if n_uncut == n => "no --max-spread cuts them: stray points of the scan".to_owned(),
+        None => "--max-spread is as low as helps".to_owned(),
     };
     let text = format!(
         "{n} over {WIDE_TIMES} times as wide as their points cover{few}; widest: surfel {widest}, \

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use pvmap::Error;
 use pvmap::query::{FractionAnswer, Located};
 use pvmap::rows::{Row, RowBlock};
-use pvmap::vmap::partial::SEGMENTS;
+use pvmap::vmap::fraction::SEGMENTS;
 use serde_json::{Value, json};
 
 use super::batch::{Batch, RowError};

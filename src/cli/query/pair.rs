@@ -36,8 +36,8 @@ the places, that settles it.
   leaves    whether the surfels say the same
   segment   what settles it: the link, or a surfel that blocks
 
-With --fraction, of a map that was built with --fractions, it is told how much the two surfels see
-of each other: 0 to 1, in sixteenths. The answer stays that of their centres.
+With --fraction, of a map that was built with --fractions or --min-exchange, it is told how much the
+two surfels see of each other: 0 to 1, in sixteenths. The answer stays that of their centres.
   fraction  the share, and between which nodes sixteen segments were tried, if they were
 
 With --exact the answer is that of the scan's points nearest to the two places: no if so many
@@ -76,7 +76,7 @@ pub(super) struct Args {
     #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
     segment: bool,
     /// Tell how much the surfels see of each other, too, where the map was
-    /// built with --fractions
+    /// built with --fractions or --min-exchange
     #[arg(long, conflicts_with_all = ["exact", "segment"], verbatim_doc_comment)]
     fraction: bool,
     #[command(flatten)]

@@ -59,7 +59,7 @@ pub(super) struct Args {
     #[arg(long, conflicts_with = "exact", verbatim_doc_comment)]
     segment: bool,
     /// Tell how much the surfels see of each other, too, where the map was
-    /// built with --fractions
+    /// built with --fractions or --min-exchange
     #[arg(long, conflicts_with_all = ["exact", "segment"], verbatim_doc_comment)]
     fraction: bool,
     #[command(flatten)]

@@ -391,7 +391,7 @@ fn ask(
 ) -> Result<Built, Error> {
     let bytes = Mapped::open(path)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(path, e))?;
-    let way = match (setting.by_segment, setting.config.fractions) {
+    let way = match (setting.by_segment, map.has_fractions()) {
         (true, _) => Way::segments(&map),
         (false, true) => Way::fractions(&map),
         (false, false) => Way::leaves(&map),

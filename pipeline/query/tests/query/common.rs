@@ -219,7 +219,7 @@ impl Parts {
             n_links: links.len() as u64,
             n_visible_pairs: links.iter().map(|&l| n_leaf_pairs(tree, l)).sum(),
             digest: 7,
-            n_partials: 0,
+            n_fractions: 0,
         };
         let config = MapConfig {
             max_level: 21,

@@ -6,7 +6,7 @@ use pvmap_geometry::grid::GRID_MAX;
 use pvmap_geometry::normal::NORMAL_LENGTH;
 use pvmap_geometry::rect::Moments;
 use pvmap_store::runs::Pair;
-use pvmap_vmap::{Partial, Surfel, Tree};
+use pvmap_vmap::{Fraction, Surfel, Tree};
 
 use crate::exchange::Exchange;
 
@@ -23,18 +23,18 @@ pub struct Tries<'a> {
 }
 
 /// Marks the lower node of a pair with a visible fraction, so that all of these come behind all
-/// links: node ids are below 2^27 where there are any.
-const MARK: u32 = 1 << 31;
+/// links. The ids of nodes are below it.
+pub const MARK: u32 = 1 << 31;
 
 /// Makes a pair of numbers that can stand among links.
-pub fn marked(partial: Partial) -> Pair {
-    let (a, numbers) = partial.to_pair();
+pub fn marked(fraction: Fraction) -> Pair {
+    let (a, numbers) = fraction.to_pair();
     (a | MARK, numbers)
 }
 
 /// Reads a pair among links that is none.
-pub fn unmarked((a, numbers): Pair) -> Option<Partial> {
-    if a & MARK == 0 { None } else { Partial::of_pair((a & !MARK, numbers)) }
+pub fn unmarked((a, numbers): Pair) -> Option<Fraction> {
+    if a & MARK == 0 { None } else { Fraction::of_pair((a & !MARK, numbers)) }
 }
 
 /// Takes back the links behind the first `from` of a list, but no visible fractions.

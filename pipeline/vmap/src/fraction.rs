@@ -11,7 +11,7 @@ const K_BITS: u32 = 5;
 
 /// Two nodes, a < b, between which so many of sixteen segments are free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Partial {
+pub struct Fraction {
     /// The lower node.
     pub a: u32,
     /// The higher node, below [`MAX_NODES`].
@@ -20,16 +20,16 @@ pub struct Partial {
     pub n_free: u8,
 }
 
-impl Partial {
+impl Fraction {
     /// Gives the pair of numbers that stands for it: (a, 32·b + k).
     pub fn to_pair(self) -> (u32, u32) {
         (self.a, self.b << K_BITS | u32::from(self.n_free))
     }
 
     /// Reads a pair of numbers; none where there are more than sixteen free segments.
-    pub fn of_pair((a, numbers): (u32, u32)) -> Option<Partial> {
+    pub fn of_pair((a, numbers): (u32, u32)) -> Option<Fraction> {
         let (b, n_free) = (numbers >> K_BITS, (numbers & ((1 << K_BITS) - 1)) as u8);
-        (n_free <= SEGMENTS).then_some(Partial { a, b, n_free })
+        (n_free <= SEGMENTS).then_some(Fraction { a, b, n_free })
     }
 
     /// Gives the least number that can stand for a node b.
@@ -45,10 +45,10 @@ mod tests {
     #[test]
     fn format24_partials_come_back() {
         for (a, b, n_free) in [(0, 1, 0), (3, 7, 16), (MAX_NODES - 2, MAX_NODES - 1, 9)] {
-            let partial = Partial { a, b, n_free };
-            assert_eq!(Partial::of_pair(partial.to_pair()), Some(partial));
-            assert!(partial.to_pair().1 >= Partial::first_of(b));
+            let fraction = Fraction { a, b, n_free };
+            assert_eq!(Fraction::of_pair(fraction.to_pair()), Some(fraction));
+            assert!(fraction.to_pair().1 >= Fraction::first_of(b));
         }
-        assert_eq!(Partial::of_pair((0, 32 + 17)), None);
+        assert_eq!(Fraction::of_pair((0, 32 + 17)), None);
     }
 }
