@@ -65,6 +65,7 @@ pub use ingest::{IngestRequest, Ingested, default_output as default_octree, inge
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;
+pub use pvmap_light as light;
 pub use pvmap_octree::ingest::{NormalsFrom, Orientation};
 pub use pvmap_query as query;
 pub use pvmap_render as render;

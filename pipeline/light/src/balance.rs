@@ -1,0 +1,119 @@
+//! Scaling an exchange so that every element gets the light there is, and no more.
+
+use crate::error::LightError;
+use crate::exchange::Exchange;
+use crate::solve::Operator;
+
+/// What surrounds the elements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scene {
+    /// Elements all around: what leaves one arrives at others, Σ_j G_ij = A_i.
+    Closed,
+    /// Light may escape: Σ_j G_ij ≤ A_i.
+    Open,
+}
+
+/// An exchange G' = D G D, D a diagonal that makes its rows add up; as symmetric as G.
+///
+/// Without it rows of a closed scene add up to 0.96 to 1.24, more light or less with each bounce,
+/// and points at random give radiosities from -152 to 83 where 5 is right.
+#[derive(Debug)]
+pub struct Balanced<'a> {
+    exchange: &'a Exchange,
+    scale: Vec<f64>,
+    row_sums: Vec<f64>,
+    row_error: f64,
+    iterations: usize,
+}
+
+impl<'a> Balanced<'a> {
+    /// Scales until no row is off by more than `tolerance` of its area, or `max_iterations` times:
+    /// d_i ← d_i √(A_i / (d_i (G d)_i)), in an open scene no more than 1. Rows that add up to
+    /// nothing stay so.
+    ///
+    /// # Errors
+    /// Where the tolerance is negative or not finite.
+    pub fn new(
+        exchange: &'a Exchange,
+        scene: Scene,
+        tolerance: f64,
+        max_iterations: usize,
+    ) -> Result<Balanced<'a>, LightError> {
+        if !(0.0..f64::INFINITY).contains(&tolerance) {
+            let (what, range) = ("the tolerance of rows", "0 or more");
+            return Err(LightError::Setting { what, value: tolerance, range });
+        }
+        let areas = exchange.elements().areas();
+        let mut scale = vec![1.0; areas.len()];
+        let mut iterations = 0;
+        loop {
+            let seen = exchange.apply(&scale)?;
+            let row_sums: Vec<f64> = scale.iter().zip(seen).map(|(d, sum)| d * sum).collect();
+            let row_error = row_error(scene, areas, &row_sums);
+            if row_error <= tolerance || iterations == max_iterations {
+                return Ok(Balanced { exchange, scale, row_sums, row_error, iterations });
+            }
+            for ((d, &sum), &area) in scale.iter_mut().zip(&row_sums).zip(areas) {
+                let next = if sum > 0.0 { *d * (area / sum).sqrt() } else { *d };
+                *d = if scene == Scene::Open { next.min(1.0) } else { next };
+            }
+            iterations += 1;
+        }
+    }
+
+    /// Gives the share of its area by which a row is off at the most.
+    pub fn row_error(&self) -> f64 {
+        self.row_error
+    }
+
+    /// Counts how often rows were scaled.
+    pub fn iterations(&self) -> usize {
+        self.iterations
+    }
+
+    /// Gives D.
+    pub fn scale(&self) -> &[f64] {
+        &self.scale
+    }
+}
+
+/// Gives the share of its area by which a row is off at the most; in an open scene, too large.
+fn row_error(scene: Scene, areas: &[f64], row_sums: &[f64]) -> f64 {
+    let off = areas.iter().zip(row_sums).filter(|(_, sum)| **sum != 0.0).map(|(area, sum)| {
+        let off = sum / area - 1.0;
+        if scene == Scene::Closed { off.abs() } else { off.max(0.0) }
+    });
+    // A row that is no number must not pass for a good one.
+    off.fold(0.0, |most, off| if off > most || off.is_nan() { off } else { most })
+}
+
+impl Operator for Balanced<'_> {
+    fn areas(&self) -> &[f64] {
+        self.exchange.elements().areas()
+    }
+
+    fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
+        let scaled: Vec<f64> = b.iter().zip(&self.scale).map(|(b, d)| b * d).collect();
+        let mut flux = self.exchange.apply(&scaled)?;
+        flux.iter_mut().zip(&self.scale).for_each(|(flux, d)| *flux *= d);
+        Ok(flux)
+    }
+
+    fn row_sums(&self) -> Result<Vec<f64>, LightError> {
+        Ok(self.row_sums.clone())
+    }
+
+    fn row_error(&self) -> f64 {
+        self.row_error
+    }
+}
+
+impl Operator for Exchange {
+    fn areas(&self) -> &[f64] {
+        self.elements().areas()
+    }
+
+    fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
+        Exchange::apply(self, b)
+    }
+}

@@ -1,0 +1,151 @@
+//! What light sees of a surface: elements with a place, a normal and an area.
+
+use pvmap_vmap::MapView;
+
+use crate::area::areas_grid2;
+use crate::error::LightError;
+
+/// A piece of surface that has one radiosity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Element {
+    /// Its place, in any unit of length.
+    pub position: [f64; 3],
+    /// The normal of its face, of length 1; zero where it has none and takes no part in light.
+    pub normal: [f64; 3],
+    /// Its area, in that unit squared, above 0.
+    pub area: f64,
+    /// Whether the side of its face is unknown: light comes and goes on both, with one radiosity,
+    /// and no more of it than one face can have.
+    pub two_sided: bool,
+}
+
+/// The numbers of one element side by side: place, normal, area, and 1 for two-sided, else 0.
+pub(crate) type Record = [f64; 8];
+
+/// All elements of a scene.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Elements {
+    /// An array for each number, for elements one after another.
+    pub(crate) position: [Vec<f64>; 3],
+    pub(crate) normal: [Vec<f64>; 3],
+    pub(crate) area: Vec<f64>,
+    /// 1 for two-sided ones, else 0.
+    two_sided: Vec<f64>,
+    /// The same by element, for elements here and there.
+    pub(crate) records: Vec<Record>,
+}
+
+/// How much longer or shorter than 1 a normal may be.
+const LENGTH_TOLERANCE: f64 = 1e-3;
+
+impl Elements {
+    /// Checks and keeps elements, their places as differences from the lowest corner of them all:
+    /// far from the origin nothing is lost beyond what was lost before.
+    ///
+    /// # Errors
+    /// Where a number is not finite, an area is not above 0 or a normal is neither zero nor of
+    /// length 1.
+    pub fn new(elements: impl IntoIterator<Item = Element>) -> Result<Elements, LightError> {
+        let checked = elements.into_iter().enumerate().map(|(index, one)| check(index, one));
+        let checked: Vec<Element> = checked.collect::<Result<_, _>>()?;
+        let lower = |a: [f64; 3], e: &Element| [0, 1, 2].map(|i| a[i].min(e.position[i]));
+        let corner = checked.iter().fold([f64::INFINITY; 3], lower);
+        let mut all = Elements::default();
+        for element in checked {
+            let position = [0, 1, 2].map(|i| element.position[i] - corner[i]);
+            all.push(Element { position, ..element });
+        }
+        Ok(all)
+    }
+
+    /// Makes an element of every surfel of a map, in their order.
+    ///
+    /// Places are measured from the lowest corner of the scan's cube, in world units: where the
+    /// scan lies in the world changes no bit. Normals have length 1.
+    ///
+    /// # Errors
+    /// Where the map is damaged.
+    pub fn of_map(map: &MapView<'_>) -> Result<Elements, LightError> {
+        let step = map.frame().frame.unit();
+        let mut all = Elements::default();
+        for (id, area) in (0..).zip(areas_grid2(map)?) {
+            let surfel = map.surfel(id)?;
+            let normal = surfel.normal.map(f64::from);
+            let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let unit = |v: f64| if length > 0.0 { v / length } else { 0.0 };
+            let position = surfel.centroid.map(|v| f64::from(v) * step);
+            // A scan of one place has no extent; any area will do for what sees nothing.
+            let area = area * if step > 0.0 { step * step } else { 1.0 };
+            let two_sided = surfel.two_sided;
+            all.push(Element { position, normal: normal.map(unit), area, two_sided });
+        }
+        Ok(all)
+    }
+
+    fn push(&mut self, element: Element) {
+        for i in 0..3 {
+            self.position[i].push(element.position[i]);
+            self.normal[i].push(element.normal[i]);
+        }
+        let two_sided = f64::from(u8::from(element.two_sided));
+        self.area.push(element.area);
+        self.two_sided.push(two_sided);
+        let ([x, y, z], [u, v, w]) = (element.position, element.normal);
+        self.records.push([x, y, z, u, v, w, element.area, two_sided]);
+    }
+
+    /// Counts them.
+    pub fn len(&self) -> usize {
+        self.area.len()
+    }
+
+    /// Says whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.area.is_empty()
+    }
+
+    /// Gives one of them, `index` < [`Elements::len`], its place as it is kept.
+    pub fn get(&self, index: usize) -> Element {
+        Element {
+            position: [0, 1, 2].map(|i| self.position[i][index]),
+            normal: [0, 1, 2].map(|i| self.normal[i][index]),
+            area: self.area[index],
+            two_sided: self.two_sided[index] > 0.0,
+        }
+    }
+
+    /// Gives their areas.
+    pub fn areas(&self) -> &[f64] {
+        &self.area
+    }
+
+    /// Gives the arrays of their numbers, in the order of a record.
+    #[inline(always)]
+    pub(crate) fn columns(&self) -> [&[f64]; 8] {
+        let ([x, y, z], [u, v, w]) = (&self.position, &self.normal);
+        [x, y, z, u, v, w, &self.area, &self.two_sided]
+    }
+
+    /// Counts those without a normal, which take no part.
+    pub fn n_without_normal(&self) -> usize {
+        (0..self.len()).filter(|&i| self.normal.iter().all(|n| n[i] == 0.0)).count()
+    }
+}
+
+/// Passes on an element that can be one.
+fn check(index: usize, element: Element) -> Result<Element, LightError> {
+    let wrong = |what: String| Err(LightError::Element { index, what });
+    let Element { position, normal, area, .. } = element;
+    if !position.iter().all(|v| v.is_finite()) {
+        return wrong(format!("its place {position:?} is not finite"));
+    }
+    if !(area > 0.0 && area < f64::INFINITY) {
+        return wrong(format!("its area is {area}; it must be above 0"));
+    }
+    let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let is_unit = (length - 1.0).abs() <= LENGTH_TOLERANCE;
+    if normal != [0.0; 3] && !is_unit {
+        return wrong(format!("its normal has length {length}; it must be 1, or 0 for none"));
+    }
+    Ok(element)
+}

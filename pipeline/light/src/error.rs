@@ -1,0 +1,91 @@
+//! Why a scene cannot be lit.
+
+use pvmap_vmap::FormatError;
+
+/// A failure of the light stage.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LightError {
+    /// An element has a number it cannot have.
+    #[error("element {index}: {what}")]
+    Element {
+        /// Which.
+        index: usize,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// There are not as many values as elements.
+    #[error("{found} values of {what} for {expected} elements; give one each")]
+    Count {
+        /// Of what.
+        what: &'static str,
+        /// Given.
+        found: usize,
+        /// Needed.
+        expected: usize,
+    },
+    /// A value is out of range.
+    #[error("{what} of element {index} is {value}; it must be {range}")]
+    Value {
+        /// Of what.
+        what: &'static str,
+        /// Whose.
+        index: usize,
+        /// What it is.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// A setting of the computation is out of range.
+    #[error("{what} is {value}; it must be {range}")]
+    Setting {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// The nodes are no tree over the elements, or a link joins what it may not.
+    #[error("node {node} {what}")]
+    Tree {
+        /// Where.
+        node: u32,
+        /// Which rule it breaks.
+        what: &'static str,
+    },
+    /// Light would be reflected for ever.
+    #[error(
+        "no finite solution: of what arrives, {reflected} is reflected to where it came from, and \
+         nothing escapes; lower the albedo below 1"
+    )]
+    NoFiniteSolution {
+        /// max ρ_i Σ_j G_ij / A_i.
+        reflected: f64,
+    },
+    /// A residual is no number.
+    #[error(
+        "the residual is {residual} after {iterations} iterations: a bug, or a broken operator"
+    )]
+    NotFinite {
+        /// What it is.
+        residual: f64,
+        /// Done until then.
+        iterations: usize,
+    },
+    /// The tolerance was not met.
+    #[error(
+        "after {iterations} iterations the residual is {residual}, not {tolerance}; allow more \
+         iterations or a larger tolerance"
+    )]
+    NotConverged {
+        /// Done.
+        iterations: usize,
+        /// Reached.
+        residual: f64,
+        /// Asked for.
+        tolerance: f64,
+    },
+    /// The map cannot be read.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+}

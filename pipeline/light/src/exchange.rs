@@ -1,0 +1,285 @@
+//! The exchange of light between all elements that see each other, as an operator.
+
+use pvmap_vmap::Fraction;
+use pvmap_vmap::fraction::SEGMENTS;
+
+use crate::element::Elements;
+use crate::error::LightError;
+use crate::fmm::bounds::Bounds;
+use crate::fmm::chebyshev::MAX_ORDER;
+use crate::fmm::grid::Grids;
+use crate::fmm::walk::{Pairs, Walk};
+use crate::hierarchy::{Hierarchy, Links, Span, Subtree};
+use crate::kernel::Kernel;
+use crate::lists::{Lists, of_spans};
+use crate::passes::Passes;
+
+/// What is not 0 only for pairs of elements that see each other: (G b)_i = Σ_j G_ij b_j, the flux
+/// that arrives at i where j has the exitance b_j.
+///
+/// G is symmetric: links are applied both ways, with the same numbers. Sums are made in an order
+/// that depends on the scene alone, so results have the same bits for any number of threads.
+#[derive(Debug)]
+pub struct Exchange {
+    pub(crate) elements: Elements,
+    pub(crate) hierarchy: Hierarchy,
+    pub(crate) kernel: Kernel,
+    /// For each node, the elements that its own exchange light with one by one.
+    pub(crate) near: Lists<Span>,
+    pub(crate) far: Option<Far>,
+    /// For each node, the elements of which its own see a part.
+    pub(crate) shares: Lists<Share>,
+}
+
+/// Elements that another node's see in part: by how many sixteenths more, or less, than what links
+/// say. They are taken one by one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub(crate) struct Share {
+    pub(crate) elements: Span,
+    pub(crate) sixteenths: i8,
+}
+
+/// What the multipole method adds.
+#[derive(Debug)]
+pub(crate) struct Far {
+    order: usize,
+    pub(crate) grids: Grids,
+    /// The middle of the areas of each node's elements.
+    pub(crate) areas: Vec<f64>,
+    /// For each node, those that it exchanges light with as a whole.
+    pub(crate) lists: Lists<Partner>,
+}
+
+/// A partner of a node: its number doubled, and 1 more where it is seen with the sign turned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub(crate) struct Partner(u32);
+
+/// The most nodes whose numbers can be doubled.
+const MAX_NODES: u32 = 1 << 31;
+
+impl Partner {
+    fn new(node: u32, is_turned: bool) -> Partner {
+        Partner(node << 1 | u32::from(is_turned))
+    }
+
+    /// Gives its node.
+    #[inline]
+    pub(crate) fn node(self) -> u32 {
+        self.0 >> 1
+    }
+
+    /// Gives the sign of what is exchanged with it.
+    #[inline]
+    pub(crate) fn sign(self) -> f64 {
+        if self.0 & 1 == 0 { 1.0 } else { -1.0 }
+    }
+}
+
+/// Ranges of elements all pairs of which an operator takes, from `sources` to `targets`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interaction {
+    /// Where light arrives.
+    pub targets: Span,
+    /// Where it comes from.
+    pub sources: Span,
+    /// Whether it is taken by grids instead of element by element.
+    pub is_far: bool,
+}
+
+/// How much there is to compute and to hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ExchangeStats {
+    /// Ranges of elements that are taken one by one, over all nodes.
+    pub n_near_ranges: usize,
+    /// Pairs of elements that are taken one by one, both ways.
+    pub n_near_pairs: u64,
+    /// Pairs of nodes that are taken by their grids, both ways.
+    pub n_far: usize,
+    /// Pairs of nodes that see a part of each other, both ways.
+    pub n_shares: usize,
+    /// Nodes that have a grid.
+    pub n_grids: usize,
+    /// Places of all grids.
+    pub n_places: usize,
+    /// Memory of lists, elements and grids.
+    pub held_bytes: usize,
+}
+
+impl Exchange {
+    /// Takes every pair of elements under the links by itself: the oracle of [`Self::multipole`].
+    ///
+    /// Memory: 8 bytes for each range of elements on the list of a node (12 for those that are seen
+    /// in part), 128 an element, 32 a node. While it is made 16 for each pair of nodes, too.
+    /// Time: proportional to the pairs.
+    ///
+    /// # Errors
+    /// Where the leaves of the tree are not the elements, or a link joins what it may not.
+    pub fn direct(
+        elements: Elements,
+        hierarchy: Hierarchy,
+        links: &(impl Links + ?Sized),
+        kernel: Kernel,
+    ) -> Result<Exchange, LightError> {
+        let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
+        let grids = Grids::default();
+        let pairs = walk(&hierarchy, &bounds, &grids, kernel, 1, links)?;
+        let near = of_spans(&hierarchy, &pairs.near);
+        Exchange { elements, hierarchy, kernel, near, far: None, shares: Lists::default() }
+            .with_fractions(links)
+    }
+
+    /// Takes nodes that are far apart by grids of an order 1…7.
+    ///
+    /// Memory beyond that of [`Self::direct`]: 4 bytes for each partner on the list of a node, 72
+    /// a node and 24 a place of a grid; while it is applied 48 more a place and 48 an element. A
+    /// grid has p³ places, p² over a plane that is square to the axes, and only nodes with more
+    /// elements than that have one.
+    ///
+    /// # Errors
+    /// Those of [`Self::direct`], or where there is no such order.
+    pub fn multipole(
+        elements: Elements,
+        hierarchy: Hierarchy,
+        links: &(impl Links + ?Sized),
+        kernel: Kernel,
+        order: usize,
+    ) -> Result<Exchange, LightError> {
+        if !(1..=MAX_ORDER).contains(&order) {
+            let (what, range) = ("the order", "1 to 7");
+            return Err(LightError::Setting { what, value: order as f64, range });
+        }
+        let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
+        if hierarchy.n_nodes() > MAX_NODES {
+            let what = "is one too many for the multipole method, which takes 2^31";
+            return Err(LightError::Tree { node: MAX_NODES, what });
+        }
+        let grids = Grids::of(&elements, &hierarchy, &bounds, order);
+        let Pairs { near, far } = walk(&hierarchy, &bounds, &grids, kernel, order, links)?;
+        let near = of_spans(&hierarchy, &near);
+        let both = |&(a, b, is_turned): &(u32, u32, bool)| {
+            [(a, Partner::new(b, is_turned)), (b, Partner::new(a, is_turned))]
+        };
+        let lists = Lists::of(hierarchy.n_nodes(), far.iter().flat_map(both));
+        let areas = bounds.iter().map(|of_node| of_node.area().0).collect();
+        let far = Some(Far { order, grids, areas, lists });
+        Exchange { elements, hierarchy, kernel, near, far, shares: Lists::default() }
+            .with_fractions(links)
+    }
+}
+
+impl Exchange {
+    /// Adds the pairs that see a part of each other.
+    fn with_fractions(mut self, links: &(impl Links + ?Sized)) -> Result<Exchange, LightError> {
+        let fractions = links.fractions()?;
+        let elements = |node| self.hierarchy.node(node).elements;
+        let mut rows = Vec::with_capacity(2 * fractions.len());
+        for Fraction { a, b, n_free } in fractions {
+            self.hierarchy.check_link((a, b))?;
+            let linked = if self.is_linked(a, elements(b).0) { SEGMENTS } else { 0 };
+            // Both are 0 to 16.
+            let sixteenths = n_free as i8 - linked as i8;
+            rows.push((a, Share { elements: elements(b), sixteenths }));
+            rows.push((b, Share { elements: elements(a), sixteenths }));
+        }
+        self.shares = Lists::of(self.hierarchy.n_nodes(), rows.iter().copied());
+        Ok(self)
+    }
+
+    /// Says whether links let the first element of a node see another one.
+    fn is_linked(&self, node: u32, element: u32) -> bool {
+        let elements = |partner: Partner| self.hierarchy.node(partner.node()).elements;
+        self.hierarchy.path(self.hierarchy.first_leaf(node)).any(|above| {
+            let near = self.near.of_node(above);
+            let span = near.get(near.partition_point(|span| span.1 <= element));
+            let far = self.far.as_ref().map_or(&[][..], |far| far.lists.of_node(above));
+            let partner = far.get(far.partition_point(|&partner| elements(partner).1 <= element));
+            span.is_some_and(|span| span.0 <= element)
+                || partner.is_some_and(|&partner| elements(partner).0 <= element)
+        })
+    }
+
+    /// Gives the elements.
+    pub fn elements(&self) -> &Elements {
+        &self.elements
+    }
+
+    /// Gives the order of the grids; none of the direct operator.
+    pub fn order(&self) -> Option<usize> {
+        self.far.as_ref().map(|far| far.order)
+    }
+
+    /// Gives G b: for each element the flux that arrives where element j has exitance `b[j]`.
+    ///
+    /// Runs on the current rayon pool.
+    ///
+    /// # Errors
+    /// Where there are not as many values as elements.
+    pub fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
+        let (expected, found) = (self.elements.len(), b.len());
+        if found != expected {
+            return Err(LightError::Count { what: "exitance", found, expected });
+        }
+        Ok(Passes::new(self, b).run())
+    }
+
+    /// Walks all that is taken, ranges of elements with ranges of elements, both ways.
+    pub fn interactions(&self) -> impl Iterator<Item = Interaction> + '_ {
+        let elements = |node| self.hierarchy.node(node).elements;
+        (0..self.hierarchy.n_nodes()).flat_map(move |node| {
+            let targets = elements(node);
+            let near = self.near.of_node(node).iter();
+            let near = near.map(move |&sources| Interaction { targets, sources, is_far: false });
+            let far = self.far.iter().flat_map(move |far| far.lists.of_node(node));
+            near.chain(far.map(move |partner| Interaction {
+                targets,
+                sources: elements(partner.node()),
+                is_far: true,
+            }))
+        })
+    }
+
+    /// Counts what there is to compute and to hold.
+    pub fn stats(&self) -> ExchangeStats {
+        let size = |span: Span| u64::from(span.1 - span.0);
+        let near = self.interactions().filter(|one| !one.is_far);
+        let mut stats = ExchangeStats {
+            n_near_ranges: self.near.n_entries(),
+            n_near_pairs: near.map(|one| size(one.targets) * size(one.sources)).sum(),
+            n_shares: self.shares.n_entries(),
+            held_bytes: self.near.held_bytes()
+                + self.shares.held_bytes()
+                + self.elements.len() * 16 * size_of::<f64>()
+                + self.hierarchy.n_nodes() as usize * size_of::<Subtree>(),
+            ..ExchangeStats::default()
+        };
+        if let Some(far) = &self.far {
+            stats.n_far = far.lists.n_entries();
+            stats.n_grids = far.grids.n_grids();
+            stats.n_places = far.grids.n_places();
+            stats.held_bytes += far.lists.held_bytes() + far.grids.held_bytes();
+        }
+        stats
+    }
+}
+
+/// Checks that each leaf is an element.
+fn check_count<'a>(
+    elements: &'a Elements,
+    hierarchy: &Hierarchy,
+) -> Result<&'a Elements, LightError> {
+    let (found, expected) = (elements.len(), hierarchy.n_elements());
+    let what = "elements of the tree";
+    (found == expected).then_some(elements).ok_or(LightError::Count { what, found, expected })
+}
+
+fn walk(
+    hierarchy: &Hierarchy,
+    bounds: &[Bounds],
+    grids: &Grids,
+    kernel: Kernel,
+    order: usize,
+    links: &(impl Links + ?Sized),
+) -> Result<Pairs, LightError> {
+    let (regularisation, all_face) = (kernel.regularisation(), links.all_face());
+    Walk { hierarchy, bounds, grids, regularisation, order, all_face }.pairs(links)
+}

@@ -1,0 +1,35 @@
+//! Light: radiosity on the surfels of a map.
+//!
+//! Light that every [`Element`] emits (E) and reflects (albedo ρ) reaches those that see it:
+//! B_i = E_i + ρ_i H_i, H_i = (1/A_i) Σ_j G_ij B_j. What sees what say the links of the map.
+//! [`Kernel`] is the exchange G of two elements, bounded and the same from either end;
+//! [`Exchange`] applies G as a whole, pair by pair (the oracle) or by the fast multipole method
+//! (`fmm`), for which links are just right: under a link the exchange is smooth.
+//! [`Balanced`] scales G so that no element gets more light than there is, [`solve`] finds B.
+//!
+//! The room opens no file, prints nothing and never asks whether two elements see each other: a
+//! pair without a link exchanges nothing. Results have the same bits for any number of threads.
+//!
+//! Start reading at [`Elements::of_map`], then [`Exchange`] and [`solve`].
+
+mod area;
+mod balance;
+mod element;
+mod error;
+mod exchange;
+mod fmm;
+mod hierarchy;
+mod kernel;
+mod lists;
+mod passes;
+mod solve;
+mod sum;
+
+pub use area::areas_grid2;
+pub use balance::{Balanced, Scene};
+pub use element::{Element, Elements};
+pub use error::LightError;
+pub use exchange::{Exchange, ExchangeStats, Interaction};
+pub use hierarchy::{Hierarchy, Links, Span, Subtree};
+pub use kernel::Kernel;
+pub use solve::{FluxBalance, Method, Operator, Solution, SolveOptions, solve};
