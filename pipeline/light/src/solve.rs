@@ -8,6 +8,7 @@
 //! nothing is reflected or nothing shines.
 
 use crate::error::LightError;
+use crate::material::check_each;
 use crate::sum::sum;
 
 /// A symmetric exchange of light between elements.
@@ -109,8 +110,8 @@ pub fn solve(
     options: &SolveOptions,
 ) -> Result<Solution, LightError> {
     let areas = operator.areas();
-    check(areas.len(), "emission", "0 or more", emission, |e| e >= 0.0 && e.is_finite())?;
-    check(areas.len(), "albedo", "between 0 and 1", albedo, |rho| (0.0..=1.0).contains(&rho))?;
+    check_each(areas.len(), "emission", "0 or more", emission, |e| e >= 0.0 && e.is_finite())?;
+    check_each(areas.len(), "albedo", "between 0 and 1", albedo, |rho| (0.0..=1.0).contains(&rho))?;
     let is_legal = options.tolerance > 0.0 && options.tolerance < f64::INFINITY;
     if !is_legal {
         let (what, range) = ("the tolerance", "above 0");
@@ -141,23 +142,6 @@ pub fn solve(
     }
     let residual = state.residual / (emitted * (1.0 - reflected));
     finish(&system, state, residual, emitted, &row_sums)
-}
-
-fn check(
-    expected: usize,
-    what: &'static str,
-    range: &'static str,
-    values: &[f64],
-    is_legal: impl Fn(f64) -> bool,
-) -> Result<(), LightError> {
-    let found = values.len();
-    if found != expected {
-        return Err(LightError::Count { what, found, expected });
-    }
-    match values.iter().position(|&v| !is_legal(v)) {
-        Some(index) => Err(LightError::Value { what, index, value: values[index], range }),
-        None => Ok(()),
-    }
 }
 
 /// Gives max ρ_i Σ_j G_ij / A_i, a bound on what one bounce leaves of light; below 1.

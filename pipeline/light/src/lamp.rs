@@ -1,0 +1,49 @@
+//! Lights that are no part of the scan.
+
+/// A light added to a scene. Places are in world units; colours are red, green and blue.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lamp {
+    /// Shines the same in all directions.
+    Point {
+        /// Where it is.
+        position: [f64; 3],
+        /// Flux a solid angle: its flux / 4π.
+        intensity: [f64; 3],
+    },
+    /// Shines into a cone.
+    Spot {
+        /// Where it is.
+        position: [f64; 3],
+        /// The axis of the cone, of length 1.
+        direction: [f64; 3],
+        /// Cosine of the angle between the axis and the cone, -1…1.
+        cos_cone: f64,
+        /// Flux a solid angle, within the cone.
+        intensity: [f64; 3],
+    },
+    /// A parallelogram that shines from its front by Lambert's law.
+    Area {
+        /// A corner.
+        corner: [f64; 3],
+        /// Its sides; u × v is the way that it shines.
+        sides: [[f64; 3]; 2],
+        /// Flux an area.
+        exitance: [f64; 3],
+    },
+    /// So far away that its light is parallel.
+    Sun {
+        /// To it, of length 1.
+        direction: [f64; 3],
+        /// Flux that arrives an area square to its light.
+        irradiance: [f64; 3],
+    },
+}
+
+/// A sky that shines alike from all directions above the horizon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sky {
+    /// Flux an area and a solid angle; an open level place gets π times as much an area.
+    pub radiance: [f64; 3],
+    /// To the zenith, of length 1.
+    pub up: [f64; 3],
+}
