@@ -1,7 +1,10 @@
 //! Scaling an exchange so that every element gets the light there is, and no more.
 
-use crate::error::LightError;
+use pvmap_store::{Quiet, Watch};
+
+use crate::error::{LightError, check};
 use crate::exchange::Exchange;
+use crate::material::check_each;
 use crate::solve::Operator;
 
 /// What surrounds the elements.
@@ -39,6 +42,16 @@ impl<'a> Balanced<'a> {
         tolerance: f64,
         max_iterations: usize,
     ) -> Result<Balanced<'a>, LightError> {
+        Balanced::watched(exchange, scene, (tolerance, max_iterations), &Quiet)
+    }
+
+    /// Does what [`Balanced::new`] does, told of and stopped between two rounds.
+    pub(crate) fn watched(
+        exchange: &'a Exchange,
+        scene: Scene,
+        (tolerance, max_iterations): (f64, usize),
+        watch: &dyn Watch,
+    ) -> Result<Balanced<'a>, LightError> {
         if !(0.0..f64::INFINITY).contains(&tolerance) {
             let (what, range) = ("the tolerance of rows", "0 or more");
             return Err(LightError::Setting { what, value: tolerance, range });
@@ -47,9 +60,10 @@ impl<'a> Balanced<'a> {
         let mut scale = vec![1.0; areas.len()];
         let mut iterations = 0;
         loop {
-            let seen = exchange.apply(&scale)?;
-            let row_sums: Vec<f64> = scale.iter().zip(seen).map(|(d, sum)| d * sum).collect();
+            check(watch)?;
+            let row_sums = row_sums(exchange, &scale)?;
             let row_error = row_error(scene, areas, &row_sums);
+            watch.advance(1);
             if row_error <= tolerance || iterations == max_iterations {
                 return Ok(Balanced { exchange, scale, row_sums, row_error, iterations });
             }
@@ -59,6 +73,27 @@ impl<'a> Balanced<'a> {
             }
             iterations += 1;
         }
+    }
+
+    /// Takes a scaling that was found before.
+    ///
+    /// # Errors
+    /// Where there is not a number above 0 an element.
+    pub fn with_scale(
+        exchange: &'a Exchange,
+        scene: Scene,
+        scale: Vec<f64>,
+    ) -> Result<Balanced<'a>, LightError> {
+        let areas = exchange.elements().areas();
+        check_each(areas.len(), "the scale", "above 0", &scale, |d| d > 0.0 && d.is_finite())?;
+        let row_sums = row_sums(exchange, &scale)?;
+        let row_error = row_error(scene, areas, &row_sums);
+        Ok(Balanced { exchange, scale, row_sums, row_error, iterations: 0 })
+    }
+
+    /// Gives Σ_j G'_ij of each element.
+    pub(crate) fn rows(&self) -> &[f64] {
+        &self.row_sums
     }
 
     /// Gives the share of its area by which a row is off at the most.
@@ -75,6 +110,11 @@ impl<'a> Balanced<'a> {
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
+}
+
+/// Gives Σ_j d_i G_ij d_j of each element.
+fn row_sums(exchange: &Exchange, scale: &[f64]) -> Result<Vec<f64>, LightError> {
+    Ok(scale.iter().zip(exchange.apply(scale)?).map(|(d, sum)| d * sum).collect())
 }
 
 /// Gives the share of its area by which a row is off at the most; in an open scene, too large.

@@ -1,5 +1,7 @@
 //! Why a scene cannot be lit.
 
+use pvmap_query::QueryError;
+use pvmap_store::Watch;
 use pvmap_vmap::FormatError;
 
 /// A failure of the light stage.
@@ -88,4 +90,15 @@ pub enum LightError {
     /// The map cannot be read.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// The map does not answer.
+    #[error(transparent)]
+    Query(#[from] QueryError),
+    /// The run was asked to stop.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// Turns a wish to stop into an error.
+pub(crate) fn check(watch: &dyn Watch) -> Result<(), LightError> {
+    if watch.is_stopped() { Err(LightError::Stopped) } else { Ok(()) }
 }

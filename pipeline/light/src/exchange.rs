@@ -2,6 +2,7 @@
 
 use pvmap_vmap::Fraction;
 use pvmap_vmap::fraction::SEGMENTS;
+use rayon::prelude::*;
 
 use crate::element::Elements;
 use crate::error::LightError;
@@ -12,7 +13,9 @@ use crate::fmm::walk::{Pairs, Walk};
 use crate::hierarchy::{Hierarchy, Links, Span, Subtree};
 use crate::kernel::Kernel;
 use crate::lists::{Lists, of_spans};
+use crate::near_field::{Corrections, corrections};
 use crate::passes::Passes;
+use crate::sum::sum;
 
 /// What is not 0 only for pairs of elements that see each other: (G b)_i = Σ_j G_ij b_j, the flux
 /// that arrives at i where j has the exitance b_j.
@@ -29,6 +32,8 @@ pub struct Exchange {
     pub(crate) far: Option<Far>,
     /// For each node, the elements of which its own see a part.
     pub(crate) shares: Lists<Share>,
+    /// What near pairs exchange beyond what their middles say.
+    pub(crate) corrections: Corrections,
 }
 
 /// Elements that another node's see in part: by how many sixteenths more, or less, than what links
@@ -124,8 +129,16 @@ impl Exchange {
         let grids = Grids::default();
         let pairs = walk(&hierarchy, &bounds, &grids, kernel, 1, links)?;
         let near = of_spans(&hierarchy, &pairs.near);
-        Exchange { elements, hierarchy, kernel, near, far: None, shares: Lists::default() }
-            .with_fractions(links)
+        Exchange {
+            elements,
+            hierarchy,
+            kernel,
+            near,
+            far: None,
+            shares: Lists::default(),
+            corrections: Corrections::default(),
+        }
+        .with_fractions(links)
     }
 
     /// Takes nodes that are far apart by grids of an order 1…7.
@@ -162,8 +175,16 @@ impl Exchange {
         let lists = Lists::of(hierarchy.n_nodes(), far.iter().flat_map(both));
         let areas = bounds.iter().map(|of_node| of_node.area().0).collect();
         let far = Some(Far { order, grids, areas, lists });
-        Exchange { elements, hierarchy, kernel, near, far, shares: Lists::default() }
-            .with_fractions(links)
+        Exchange {
+            elements,
+            hierarchy,
+            kernel,
+            near,
+            far,
+            shares: Lists::default(),
+            corrections: Corrections::default(),
+        }
+        .with_fractions(links)
     }
 }
 
@@ -185,6 +206,13 @@ impl Exchange {
         Ok(self)
     }
 
+    /// Takes some pairs of elements, each once, by quadrature instead of by their middles.
+    pub(crate) fn with_near_field(mut self, pairs: &[[u32; 2]]) -> Result<Exchange, LightError> {
+        let found = corrections(&self.elements, self.kernel, pairs)?;
+        self.corrections = Corrections::of(self.elements.len(), &found);
+        Ok(self)
+    }
+
     /// Says whether links let the first element of a node see another one.
     fn is_linked(&self, node: u32, element: u32) -> bool {
         let elements = |partner: Partner| self.hierarchy.node(partner.node()).elements;
@@ -196,6 +224,11 @@ impl Exchange {
             span.is_some_and(|span| span.0 <= element)
                 || partner.is_some_and(|&partner| elements(partner).0 <= element)
         })
+    }
+
+    /// Counts the pairs of elements that are taken by quadrature.
+    pub fn n_near_field(&self) -> u64 {
+        self.corrections.n_pairs()
     }
 
     /// Gives the elements.
@@ -220,6 +253,43 @@ impl Exchange {
             return Err(LightError::Count { what: "exitance", found, expected });
         }
         Ok(Passes::new(self, b).run())
+    }
+
+    /// Says how far the grids are off at some elements: the largest difference of what arrives
+    /// there, `flux` = G b, from the sum pair by pair, an area, as a share of the mean. 0 without
+    /// grids.
+    pub(crate) fn error_at(&self, elements: &[u32], b: &[f64], flux: &[f64]) -> f64 {
+        let Some(far) = &self.far else { return 0.0 };
+        let one = |&id: &u32| {
+            let (i, area) = (id as usize, self.elements.area[id as usize]);
+            let path = self.hierarchy.path(self.hierarchy.leaf_of(id));
+            let partners = path.flat_map(|node| far.lists.of_node(node));
+            let spans: Vec<Span> =
+                partners.map(|partner| self.hierarchy.node(partner.node()).elements).collect();
+            let exact = self.kernel.row(&self.elements, i, &spans, b) + self.near_flux(id, b);
+            ((flux[i] - exact).abs() / area, exact / area)
+        };
+        let rows: Vec<(f64, f64)> = elements.par_iter().map(one).collect();
+        let most = rows.iter().map(|row| row.0).fold(0.0, f64::max);
+        let mean = sum(rows.iter().map(|row| row.1)) / rows.len().max(1) as f64;
+        if mean > 0.0 { most / mean } else { 0.0 }
+    }
+
+    /// Gives what arrives at an element one by one: all but what grids bring.
+    pub(crate) fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
+        self.near_flux_at(self.hierarchy.leaf_of(element), element as usize, b)
+    }
+
+    /// The same of an element whose leaf is known.
+    pub(crate) fn near_flux_at(&self, leaf: u32, i: usize, b: &[f64]) -> f64 {
+        let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;
+        let rows = hierarchy.path(leaf).map(|node| near.of_node(node));
+        let rows = rows.filter(|ranges| !ranges.is_empty());
+        let one_by_one: f64 = rows.map(|ranges| kernel.row(elements, i, ranges, b)).sum();
+        let rows = hierarchy.path(leaf).map(|node| shares.of_node(node));
+        let rows = rows.filter(|shares| !shares.is_empty());
+        let in_part: f64 = rows.map(|shares| kernel.row_of_shares(elements, i, shares, b)).sum();
+        one_by_one + in_part + corrections.flux(i, b)
     }
 
     /// Walks all that is taken, ranges of elements with ranges of elements, both ways.
@@ -248,6 +318,7 @@ impl Exchange {
             n_shares: self.shares.n_entries(),
             held_bytes: self.near.held_bytes()
                 + self.shares.held_bytes()
+                + self.corrections.held_bytes()
                 + self.elements.len() * 16 * size_of::<f64>()
                 + self.hierarchy.n_nodes() as usize * size_of::<Subtree>(),
             ..ExchangeStats::default()

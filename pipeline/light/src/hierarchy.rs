@@ -143,6 +143,16 @@ impl Hierarchy {
         id
     }
 
+    /// Finds the leaf of an element.
+    pub(crate) fn leaf_of(&self, element: u32) -> u32 {
+        let mut id = 0;
+        while !self.is_leaf(id) {
+            let holds = |child: &u32| element < self.node(*child).elements.1;
+            id = self.children(id).find(holds).unwrap_or(id + 1);
+        }
+        id
+    }
+
     /// Walks from a node up to the root, itself first.
     pub fn path(&self, id: u32) -> impl Iterator<Item = u32> + '_ {
         let up = |id: &u32| Some(self.node(*id).parent).filter(|&parent| parent != NO_PARENT);

@@ -39,6 +39,17 @@ pub enum Lamp {
     },
 }
 
+impl Lamp {
+    /// Gives the numbers that its red, green and blue light are proportional to.
+    pub(crate) fn color(&self) -> [f64; 3] {
+        match *self {
+            Lamp::Point { intensity, .. } | Lamp::Spot { intensity, .. } => intensity,
+            Lamp::Area { exitance, .. } => exitance,
+            Lamp::Sun { irradiance, .. } => irradiance,
+        }
+    }
+}
+
 /// A sky that shines alike from all directions above the horizon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sky {

@@ -228,13 +228,8 @@ impl<'a> Passes<'a> {
 
     /// Gives the flux that arrives at a leaf.
     fn flux_at(&self, leaf: u32, i: usize, field: &TripleMut<'_>) -> f64 {
-        let Exchange { elements, hierarchy, kernel, near, shares, .. } = self.exchange;
-        let rows = hierarchy.path(leaf).map(|node| near.of_node(node));
-        let rows = rows.filter(|ranges| !ranges.is_empty());
-        let mut flux: f64 = rows.map(|ranges| kernel.row(elements, i, ranges, self.b)).sum();
-        let shares = hierarchy.path(leaf).map(|node| shares.of_node(node));
-        let shares = shares.filter(|shares| !shares.is_empty());
-        flux += shares.map(|shares| kernel.row_of_shares(elements, i, shares, self.b)).sum::<f64>();
+        let elements = &self.exchange.elements;
+        let mut flux = self.exchange.near_flux_at(leaf, i, self.b);
         if self.exchange.far.is_some() {
             let along = (0..3).map(|axis| elements.normal[axis][i] * field[axis][0]);
             flux -= elements.area[i] * along.sum::<f64>();
