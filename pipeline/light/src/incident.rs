@@ -1,0 +1,295 @@
+//! The light that arrives from lamps and from the sky.
+//!
+//! Lamps are no part of a map, so nothing is known of what they see: segments are tried through its
+//! surfels. What is irradiated without anything in between is exact; what stands in between is
+//! found at the middle of each element, for one place of a point light and for many of an area.
+
+use std::f64::consts::{PI, TAU};
+use std::ops::Range;
+
+use pvmap_query::{Light, Located, Map, Sight};
+use pvmap_store::Watch;
+use rayon::prelude::*;
+
+use crate::element::{Element, Elements};
+use crate::error::{LightError, check};
+use crate::lamp::{Lamp, Sky};
+use crate::polygon::irradiance_of_polygon;
+use crate::vector::{add, beside, cross, dot, norm, scale, sub};
+
+/// Elements that are done at a time.
+const CHUNK: usize = 256;
+/// Places of an area light along a side that are tried at first, and where some see and some not.
+const COARSE: usize = 4;
+const FINE: usize = 12;
+/// Directions to the sky along a side of the square that they are drawn from.
+const SKY: usize = 8;
+/// How far off the sun and the sky are, in sides of the scan's cube.
+const FAR: f64 = 4.0;
+
+/// Who may ask what lies between a lamp and an element.
+pub(crate) struct Air<'a> {
+    map: &'a Map<'a>,
+    elements: &'a Elements,
+    /// Where the corner of the cube lies in the world: elements are measured from there.
+    origin: [f64; 3],
+    extent: f64,
+}
+
+/// What arrives from lamps or from the sky.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Incident {
+    /// Flux an area of each element: red, green, blue.
+    pub(crate) irradiance: [Vec<f64>; 3],
+    /// Segments that were tried.
+    pub(crate) n_segments: u64,
+    /// Segments that were blocked.
+    pub(crate) n_blocked: u64,
+}
+
+/// The sky over each element.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct OpenSky {
+    /// Share of what an element's face could get from all around that comes from open sky, 0…1.
+    pub(crate) share: Vec<f32>,
+    /// Segments that were tried.
+    pub(crate) n_segments: u64,
+}
+
+/// What one element gets.
+#[derive(Debug, Clone, Copy, Default)]
+struct Row {
+    irradiance: [f64; 3],
+    n_segments: u64,
+    n_blocked: u64,
+}
+
+impl<'a> Air<'a> {
+    pub(crate) fn new(map: &'a Map<'a>, elements: &'a Elements) -> Air<'a> {
+        let frame = &map.view().frame().frame;
+        Air { map, elements, origin: frame.world_of_real([0.0; 3]), extent: frame.extent() }
+    }
+
+    /// Gives what arrives from all lamps; without `tests`, as if nothing were in between.
+    pub(crate) fn lamps(
+        &self,
+        lamps: &[Lamp],
+        tests: bool,
+        watch: &dyn Watch,
+    ) -> Result<Incident, LightError> {
+        let rows = self.each(watch, |id| {
+            let mut row = Row::default();
+            for lamp in lamps {
+                self.add(lamp, id, tests, &mut row)?;
+            }
+            Ok(row)
+        })?;
+        let of = |channel: usize| rows.iter().map(|row| row.irradiance[channel]).collect();
+        Ok(Incident {
+            irradiance: [0, 1, 2].map(of),
+            n_segments: rows.iter().map(|row| row.n_segments).sum(),
+            n_blocked: rows.iter().map(|row| row.n_blocked).sum(),
+        })
+    }
+
+    /// Tries some elements, and says how many segments to lamps there were and how many of them
+    /// were blocked.
+    pub(crate) fn try_lamps(&self, lamps: &[Lamp], ids: &[u32]) -> Result<(u64, u64), LightError> {
+        let tries = ids.par_iter().map(|&id| {
+            let mut row = Row::default();
+            for lamp in lamps {
+                self.add(lamp, id, true, &mut row)?;
+            }
+            Ok::<_, LightError>((row.n_segments, row.n_blocked))
+        });
+        let sum = |a: (u64, u64), b: (u64, u64)| (a.0 + b.0, a.1 + b.1);
+        Ok(tries.collect::<Result<Vec<_>, _>>()?.into_iter().fold((0, 0), sum))
+    }
+
+    /// Gives how much of the sky each element sees.
+    pub(crate) fn sky(&self, up: [f64; 3], watch: &dyn Watch) -> Result<OpenSky, LightError> {
+        let rows = self.each(watch, |id| self.sky_over(id, Some(up)))?;
+        Ok(OpenSky {
+            share: rows.iter().map(|row| row.0).collect(),
+            n_segments: rows.iter().map(|row| row.1).sum(),
+        })
+    }
+
+    /// Gives how much of the sky an element sees, and how many segments it took; without `up`, how
+    /// much of all that is around.
+    pub(crate) fn sky_over(&self, id: u32, up: Option<[f64; 3]>) -> Result<(f32, u64), LightError> {
+        let element = self.elements.get(id as usize);
+        let Some(normal) = turned(&element, up) else { return Ok((0.0, 0)) };
+        let (mut n_open, mut n_segments) = (0u32, 0);
+        for direction in cosine_directions(normal) {
+            if up.is_some_and(|up| dot(direction, up) <= 0.0) {
+                continue;
+            }
+            n_segments += 1;
+            let far = add(element.position, scale(direction, FAR * self.extent));
+            n_open += u32::from(self.is_open(id, far)?);
+        }
+        Ok((n_open as f32 / (SKY * SKY) as f32, n_segments))
+    }
+
+    /// Computes a value for each element, many at once.
+    fn each<T: Send>(
+        &self,
+        watch: &dyn Watch,
+        of: impl Fn(u32) -> Result<T, LightError> + Sync,
+    ) -> Result<Vec<T>, LightError> {
+        let n = self.elements.len();
+        let chunk = |range: Range<usize>| {
+            check(watch)?;
+            let rows: Vec<T> = range.clone().map(|id| of(id as u32)).collect::<Result<_, _>>()?;
+            watch.advance(range.len() as u64);
+            Ok::<_, LightError>(rows)
+        };
+        let starts = (0..n).into_par_iter().step_by(CHUNK);
+        let rows = starts.map(|at| chunk(at..n.min(at + CHUNK))).collect::<Result<Vec<_>, _>>()?;
+        Ok(rows.into_iter().flatten().collect())
+    }
+
+    /// Adds what an element gets from a lamp.
+    fn add(&self, lamp: &Lamp, id: u32, tests: bool, row: &mut Row) -> Result<(), LightError> {
+        let element = self.elements.get(id as usize);
+        let (cosine, color) = self.unblocked(lamp, &element);
+        if cosine <= 0.0 {
+            return Ok(());
+        }
+        let share = if tests { self.share_of(lamp, id, &element, row)? } else { 1.0 };
+        for channel in 0..3 {
+            row.irradiance[channel] += share * cosine * color[channel];
+        }
+        Ok(())
+    }
+
+    /// Gives what an element would get from a lamp if nothing were in between: a factor, and the
+    /// lamp's colour that it multiplies.
+    fn unblocked(&self, lamp: &Lamp, element: &Element) -> (f64, [f64; 3]) {
+        let from = |place: [f64; 3]| sub(sub(place, self.origin), element.position);
+        // No more arrives than what goes into half of all directions.
+        let bounded = |to: [f64; 3]| {
+            let r2 = dot(to, to);
+            let cosine = cosine(element, to);
+            if r2 > 0.0 { (cosine / r2).min(TAU / element.area) } else { 0.0 }
+        };
+        match *lamp {
+            Lamp::Point { position, intensity } => (bounded(from(position)), intensity),
+            Lamp::Spot { position, direction, cos_cone, intensity } => {
+                let to = from(position);
+                let is_within = -dot(to, direction) >= cos_cone * norm(to);
+                (if is_within { bounded(to) } else { 0.0 }, intensity)
+            }
+            Lamp::Area { corner, sides: [u, v], exitance } => {
+                let corner = from(corner);
+                let front = cross(u, v);
+                // It does not shine backwards.
+                if dot(corner, front) >= 0.0 {
+                    return (0.0, exitance);
+                }
+                let corners = [corner, add(corner, u), add(add(corner, u), v), add(corner, v)];
+                let of_side = |normal| irradiance_of_polygon(&corners, normal);
+                let ahead = of_side(element.normal);
+                let behind =
+                    if element.two_sided { of_side(scale(element.normal, -1.0)) } else { 0.0 };
+                (ahead.max(behind), exitance)
+            }
+            Lamp::Sun { direction, irradiance } => (cosine(element, direction), irradiance),
+        }
+    }
+
+    /// Gives the share of a lamp's light that reaches an element.
+    fn share_of(
+        &self,
+        lamp: &Lamp,
+        id: u32,
+        element: &Element,
+        row: &mut Row,
+    ) -> Result<f64, LightError> {
+        let mut is_open = |place: [f64; 3]| {
+            let is_open = self.is_open(id, sub(place, self.origin))?;
+            row.n_segments += 1;
+            row.n_blocked += u64::from(!is_open);
+            Ok::<_, LightError>(is_open)
+        };
+        let (corner, [u, v]) = match *lamp {
+            Lamp::Point { position, .. } | Lamp::Spot { position, .. } => {
+                return Ok(f64::from(u8::from(is_open(position)?)));
+            }
+            Lamp::Sun { direction, .. } => {
+                let here = add(element.position, self.origin);
+                let far = add(here, scale(direction, FAR * self.extent));
+                return Ok(f64::from(u8::from(is_open(far)?)));
+            }
+            Lamp::Area { corner, sides, .. } => (corner, sides),
+        };
+        let front = cross(u, v);
+        let mut share = |n: usize| {
+            let (mut open, mut all) = (0.0, 0.0);
+            for (a, b) in (0..n).flat_map(|a| (0..n).map(move |b| (a, b))) {
+                let at = |k: usize| (k as f64 + 0.5) / n as f64;
+                let place = add(corner, add(scale(u, at(a)), scale(v, at(b))));
+                let to = sub(sub(place, self.origin), element.position);
+                let r2 = dot(to, to);
+                let weight = cosine(element, to) * -dot(to, front) / (r2 * r2.sqrt());
+                if weight > 0.0 {
+                    all += weight;
+                    open += if is_open(place)? { weight } else { 0.0 };
+                }
+            }
+            Ok::<_, LightError>(if all > 0.0 { open / all } else { 0.0 })
+        };
+        let coarse = share(COARSE)?;
+        if coarse == 0.0 || coarse == 1.0 { Ok(coarse) } else { share(FINE) }
+    }
+
+    /// Says whether a place, measured from the cube's corner, sees an element.
+    fn is_open(&self, id: u32, place: [f64; 3]) -> Result<bool, LightError> {
+        let node = self.map.view().surfel(id)?.node;
+        let here = Located { surfel: id, node, distance: 0.0 };
+        let answer = self.map.shadow(&here, &Light::Air(add(place, self.origin)))?;
+        Ok(answer.reaches != Sight::None)
+    }
+}
+
+impl Incident {
+    /// Adds a sky: π times its radiance of the share that is open.
+    pub(crate) fn add_sky(&mut self, sky: &Sky, open: &OpenSky) {
+        for (channel, radiance) in sky.radiance.into_iter().enumerate() {
+            for (irradiance, share) in self.irradiance[channel].iter_mut().zip(&open.share) {
+                *irradiance += PI * radiance * f64::from(*share);
+            }
+        }
+    }
+}
+
+/// Gives the cosine at an element towards something, 0 where it faces away.
+fn cosine(element: &Element, to: [f64; 3]) -> f64 {
+    let length = norm(to);
+    let cosine = if length > 0.0 { dot(element.normal, to) / length } else { 0.0 };
+    if element.two_sided { cosine.abs() } else { cosine.max(0.0) }
+}
+
+/// Gives an element's normal; of two faces that which looks up. None where there is none.
+fn turned(element: &Element, up: Option<[f64; 3]>) -> Option<[f64; 3]> {
+    let normal = element.normal;
+    let is_down = element.two_sided && up.is_some_and(|up| dot(normal, up) < 0.0);
+    (normal != [0.0; 3]).then(|| if is_down { scale(normal, -1.0) } else { normal })
+}
+
+/// Gives directions around a normal, each for the same share of what a face gets from all around:
+/// the middles of the squares of a lattice, mapped to the disc under the half sphere by equal
+/// areas.
+fn cosine_directions(normal: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
+    let [tangent, other] = beside(normal);
+    let squares = (0..SKY).flat_map(|a| (0..SKY).map(move |b| (a, b)));
+    squares.map(move |(a, b)| {
+        let at = |k: usize| (k as f64 + 0.5) / SKY as f64;
+        let (radius, angle) = (at(a).sqrt(), TAU * at(b));
+        let (sin, cos) = angle.sin_cos();
+        let height = (1.0 - radius * radius).sqrt();
+        let along = add(scale(tangent, radius * cos), scale(other, radius * sin));
+        add(along, scale(normal, height))
+    })
+}

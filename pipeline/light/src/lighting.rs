@@ -1,0 +1,356 @@
+//! From materials and lamps to the light of a scene: plan first, then no more than planned.
+
+use pvmap_query::Map;
+use pvmap_store::Watch;
+
+use crate::balance::{Balanced, Scene};
+use crate::element::Elements;
+use crate::error::{LightError, check};
+use crate::exchange::{Exchange, ExchangeStats};
+use crate::incident::{Air, Incident, OpenSky};
+use crate::lamp::{Lamp, Sky};
+use crate::material::{Channel, Materials};
+use crate::plan::{Effect, Plan, Wishes};
+use crate::solve::{FluxBalance, Operator, SolveOptions, solve};
+use crate::sum::sum;
+
+/// What is lit, and how well.
+#[derive(Debug, Clone)]
+pub struct LightOptions {
+    /// The error that light may have, as a share of it: 0.01 for one part in a hundred.
+    pub error: f64,
+    /// The share of all emitted flux that an effect must be worth.
+    pub worth: f64,
+    /// Whether pairs are taken one by one, the oracle of the grids.
+    pub is_direct: bool,
+    /// The order of grids, whatever the error asks for.
+    pub order: Option<usize>,
+    /// What is wanted of effects.
+    pub wishes: Wishes,
+}
+
+impl Default for LightOptions {
+    fn default() -> LightOptions {
+        let wishes = Wishes::default();
+        LightOptions { error: 0.01, worth: 1e-3, is_direct: false, order: None, wishes }
+    }
+}
+
+/// A scene that is to be lit.
+#[derive(Debug)]
+pub struct Lighting<'a> {
+    pub(crate) map: &'a Map<'a>,
+    pub(crate) elements: Elements,
+    pub(crate) materials: Materials,
+    pub(crate) lamps: Vec<Lamp>,
+    pub(crate) sky: Option<Sky>,
+    pub(crate) options: LightOptions,
+}
+
+/// A plan with what was prepared for it.
+#[derive(Debug)]
+pub struct Planned {
+    /// What is to be computed.
+    pub plan: Plan,
+    pub(crate) exchange: Option<Exchange>,
+    pub(crate) n_lamp_tries: u64,
+}
+
+/// What was touched at run time, counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Segments tried between lamps and elements.
+    pub n_lamp_segments: u64,
+    /// Segments tried to the sky.
+    pub n_sky_segments: u64,
+    /// Times that the exchange of all elements was applied.
+    pub n_applications: u64,
+    /// Iterations of the solver, in all channels.
+    pub n_iterations: u64,
+    /// Channels.
+    pub n_channels: u64,
+    /// Pairs taken by quadrature.
+    pub n_near_field: u64,
+    /// Photons sent to what mirrors or lets light through.
+    pub n_photons: u64,
+}
+
+/// The light of one channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LitChannel {
+    /// E and ρ.
+    pub given: Channel,
+    /// B = E + ρ H of each element.
+    pub exitance: Vec<f64>,
+    /// H of each element: from others, from lamps and from the sky.
+    pub irradiance: Vec<f64>,
+    /// Where the flux went, that of lamps and sky included.
+    pub balance: FluxBalance,
+}
+
+/// A lit scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lit {
+    /// One channel, or red, green and blue.
+    pub channels: Vec<LitChannel>,
+    /// The share of open sky over each element; empty where it was not called for.
+    pub open_sky: Vec<f32>,
+    /// The scaling of the exchange, one number an element; 1 where nothing was exchanged.
+    pub scale: Vec<f64>,
+    /// The order of the grids; none where pairs were taken one by one, or not at all.
+    pub order: Option<usize>,
+    /// The largest error of an exchange by grids at some elements, as a share of the mean.
+    pub operator_error: f64,
+    /// The share of its area by which a row of the exchange is off.
+    pub row_error: f64,
+    /// Flux that may be missing, as a share of what is emitted.
+    pub residual: f64,
+    /// What was touched.
+    pub work: Work,
+    /// What the exchange took.
+    pub stats: ExchangeStats,
+}
+
+/// Elements at which grids are compared with the sum pair by pair.
+const N_COMPARED: usize = 64;
+/// Rows are scaled at the most so often; in a closed box five leave 1e-3.
+const MAX_SCALINGS: usize = 20;
+
+impl<'a> Lighting<'a> {
+    /// Takes a map, materials for its surfels, lamps and a sky.
+    ///
+    /// # Errors
+    /// Where the map is damaged or materials do not fit it.
+    pub fn new(
+        map: &'a Map<'a>,
+        elements: Elements,
+        materials: Materials,
+        lamps: Vec<Lamp>,
+        sky: Option<Sky>,
+        options: LightOptions,
+    ) -> Result<Lighting<'a>, LightError> {
+        materials.check(&elements)?;
+        let range = "above 0 and below 1";
+        for (what, value) in [("the error", options.error), ("the worth", options.worth)] {
+            if !(value > 0.0 && value < 1.0) {
+                return Err(LightError::Setting { what, value, range });
+            }
+        }
+        Ok(Lighting { map, elements, materials, lamps, sky, options })
+    }
+
+    /// Gives the largest albedo of all channels.
+    pub(crate) fn max_albedo(&self) -> f64 {
+        let all = self.materials.channels.iter().flat_map(|channel| &channel.albedo);
+        all.copied().fold(0.0, f64::max)
+    }
+
+    /// Gives what an exchange may be off by: operator errors grow by ρ / (1 - ρ), and the solver
+    /// has a half of the error.
+    pub(crate) fn operator_tolerance(&self) -> f64 {
+        let rho = self.max_albedo().max(0.1);
+        self.options.error * (1.0 - rho) / rho
+    }
+
+    /// Computes what was planned. `scale` is that of an earlier run for the same map: it is not
+    /// found again.
+    ///
+    /// # Errors
+    /// Where the map is damaged, there is no finite solution, or the run is asked to stop.
+    pub fn run(
+        &self,
+        planned: &Planned,
+        scale: Option<Vec<f64>>,
+        watch: &dyn Watch,
+    ) -> Result<Lit, LightError> {
+        let plan = &planned.plan;
+        let n = self.elements.len();
+        let mut work = Work { n_lamp_segments: planned.n_lamp_tries, ..Work::default() };
+        let (incident, open) = self.incident(plan, &mut work, watch)?;
+        let channels = self.channels(plan.is_on(Effect::Color));
+        let mut lit = Lit {
+            channels: Vec::new(),
+            open_sky: open.share,
+            scale: scale.clone().unwrap_or_else(|| vec![1.0; n]),
+            order: None,
+            operator_error: 0.0,
+            row_error: 0.0,
+            residual: 0.0,
+            work,
+            stats: ExchangeStats::default(),
+        };
+        lit.work.n_channels = channels.len() as u64;
+        let balanced = match &planned.exchange {
+            Some(exchange) => Some(self.balanced(exchange, plan, scale, &mut lit, watch)?),
+            None => None,
+        };
+        for (index, channel) in channels.into_iter().enumerate() {
+            check(watch)?;
+            let incident = channel_of(&incident, index, plan.is_on(Effect::Color));
+            watch.stage("solve", None, "rounds");
+            let balanced = balanced.as_ref();
+            let done = self.channel(plan, balanced, (channel, incident), &mut lit, watch)?;
+            lit.channels.push(done);
+        }
+        Ok(lit)
+    }
+
+    /// Gives what arrives from lamps and sky.
+    fn incident(
+        &self,
+        plan: &Plan,
+        work: &mut Work,
+        watch: &dyn Watch,
+    ) -> Result<(Incident, OpenSky), LightError> {
+        let n = self.elements.len();
+        let air = Air::new(self.map, &self.elements);
+        let mut incident =
+            Incident { irradiance: [0, 1, 2].map(|_| vec![0.0; n]), ..Incident::default() };
+        if plan.is_on(Effect::Direct) && !self.lamps.is_empty() {
+            watch.stage("lamps", Some(n as u64), "surfels");
+            incident = air.lamps(&self.lamps, plan.is_on(Effect::Occlusion), watch)?;
+            work.n_lamp_segments += incident.n_segments;
+        }
+        let mut open = OpenSky::default();
+        if plan.is_on(Effect::Sky) {
+            watch.stage("sky", Some(n as u64), "surfels");
+            let nowhere = Sky { radiance: [0.0; 3], up: [0.0, 0.0, 1.0] };
+            let sky = self.sky.unwrap_or(nowhere);
+            open = air.sky(sky.up, watch)?;
+            work.n_sky_segments = open.n_segments;
+            incident.add_sky(&sky, &open);
+        }
+        Ok((incident, open))
+    }
+
+    /// Gives the channels that are computed: three, or their mean.
+    fn channels(&self, has_color: bool) -> Vec<Channel> {
+        let all = &self.materials.channels;
+        if has_color {
+            return all.to_vec();
+        }
+        let mean = |of: fn(&Channel) -> &Vec<f64>| {
+            let [r, g, b] = [0, 1, 2].map(|c| of(&all[c]));
+            r.iter().zip(g).zip(b).map(|((r, g), b)| mean([*r, *g, *b])).collect()
+        };
+        vec![Channel { emission: mean(|c| &c.emission), albedo: mean(|c| &c.albedo) }]
+    }
+
+    /// Scales the exchange, or takes the scale of before.
+    fn balanced<'e>(
+        &self,
+        exchange: &'e Exchange,
+        plan: &Plan,
+        scale: Option<Vec<f64>>,
+        lit: &mut Lit,
+        watch: &dyn Watch,
+    ) -> Result<Balanced<'e>, LightError> {
+        watch.stage("scale", None, "rounds");
+        let scene = if plan.is_closed { Scene::Closed } else { Scene::Open };
+        let balanced = match scale {
+            Some(scale) => Balanced::with_scale(exchange, scene, scale)?,
+            None => {
+                let tolerance = self.operator_tolerance();
+                Balanced::watched(exchange, scene, (tolerance, MAX_SCALINGS), watch)?
+            }
+        };
+        lit.scale = balanced.scale().to_vec();
+        let flux: Vec<f64> = balanced.rows().iter().zip(&lit.scale).map(|(r, d)| r / d).collect();
+        lit.operator_error = exchange.error_at(&self.some(N_COMPARED), &lit.scale, &flux);
+        lit.row_error = balanced.row_error();
+        lit.order = exchange.order();
+        lit.stats = exchange.stats();
+        lit.work.n_near_field = exchange.n_near_field();
+        lit.work.n_applications += balanced.iterations() as u64 + 1;
+        Ok(balanced)
+    }
+
+    /// Lights one channel.
+    fn channel(
+        &self,
+        plan: &Plan,
+        balanced: Option<&Balanced<'_>>,
+        (given, incident): (Channel, Vec<f64>),
+        lit: &mut Lit,
+        watch: &dyn Watch,
+    ) -> Result<LitChannel, LightError> {
+        let areas = self.elements.areas();
+        let mut irradiance = incident;
+        let from_outside = sum(areas.iter().zip(&irradiance).map(|(a, h)| a * h));
+        if let Some(balanced) = balanced {
+            let has_bounces = plan.is_on(Effect::Bounces);
+            let nothing = vec![0.0; areas.len()];
+            // What arrives from outside is as good as emitted where it is reflected; without
+            // bounces others see what shines by itself alone.
+            let rows = given.emission.iter().zip(&given.albedo).zip(&irradiance);
+            let shining: Vec<f64> = rows.map(|((e, rho), h)| e + rho * h).collect();
+            let (shining, albedo) = match has_bounces {
+                true => (&shining, &given.albedo),
+                false => (&given.emission, &nothing),
+            };
+            let operator = Watched { balanced, watch };
+            let found = solve(&operator, shining, albedo, &self.solve_options())?;
+            lit.work.n_iterations += found.iterations as u64;
+            lit.work.n_applications += found.iterations as u64 + 2;
+            lit.residual = lit.residual.max(found.residual);
+            irradiance.iter_mut().zip(&found.irradiance).for_each(|(h, more)| *h += more);
+        }
+        let rows = given.emission.iter().zip(&given.albedo).zip(&irradiance);
+        let exitance: Vec<f64> = rows.map(|((e, rho), h)| e + rho * h).collect();
+        let emitted = sum(areas.iter().zip(&given.emission).map(|(a, e)| a * e)) + from_outside;
+        let rows = areas.iter().zip(&irradiance).zip(&given.albedo);
+        let absorbed = sum(rows.map(|((a, h), rho)| a * h * (1.0 - rho)));
+        let escapes = |id: usize| match balanced {
+            Some(balanced) => areas[id] - balanced.rows()[id],
+            None => areas[id],
+        };
+        let escaped = sum(exitance.iter().enumerate().map(|(id, b)| b * escapes(id)));
+        let balance = FluxBalance { emitted, absorbed, escaped, clipped: 0.0 };
+        Ok(LitChannel { given, exitance, irradiance, balance })
+    }
+
+    fn solve_options(&self) -> SolveOptions {
+        SolveOptions { tolerance: 0.25 * self.options.error, ..SolveOptions::default() }
+    }
+}
+
+/// An exchange that tells when it is applied, and stops when asked to.
+struct Watched<'e, 'w> {
+    balanced: &'e Balanced<'e>,
+    watch: &'w dyn Watch,
+}
+
+impl Operator for Watched<'_, '_> {
+    fn areas(&self) -> &[f64] {
+        self.balanced.areas()
+    }
+
+    fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
+        check(self.watch)?;
+        let flux = self.balanced.apply(b)?;
+        self.watch.advance(1);
+        Ok(flux)
+    }
+
+    fn row_sums(&self) -> Result<Vec<f64>, LightError> {
+        self.balanced.row_sums()
+    }
+
+    fn row_error(&self) -> f64 {
+        self.balanced.row_error()
+    }
+}
+
+/// Gives what arrives from outside in one channel: one of three, or their mean.
+fn channel_of(incident: &Incident, index: usize, has_color: bool) -> Vec<f64> {
+    let [r, g, b] = &incident.irradiance;
+    if has_color {
+        return [r, g, b][index].clone();
+    }
+    r.iter().zip(g).zip(b).map(|((r, g), b)| mean([*r, *g, *b])).collect()
+}
+
+/// Gives the mean of three numbers; of three equal ones the number itself.
+fn mean([r, g, b]: [f64; 3]) -> f64 {
+    r + ((g - r) + (b - r)) / 3.0
+}
