@@ -45,6 +45,7 @@ pub mod config;
 mod error;
 mod export;
 mod ingest;
+mod light_file;
 mod limits;
 mod pairing;
 pub mod rows;
@@ -62,6 +63,7 @@ pub use export::{
     export_points, export_surfels, write_points, write_surfels,
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
+pub use light_file::{LightChannel, LightContent, write_light};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;

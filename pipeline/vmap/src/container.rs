@@ -31,6 +31,8 @@ pub enum Kind {
     Map,
     /// The sorted points of an octree.
     Octree,
+    /// Light on the surfels of a map.
+    Light,
 }
 
 impl Kind {
@@ -39,6 +41,7 @@ impl Kind {
         match self {
             Kind::Map => b"\x89PVM\r\n\x1a\nVMAP",
             Kind::Octree => b"\x89PVM\r\n\x1a\nOCTR",
+            Kind::Light => b"\x89PVM\r\n\x1a\nLGHT",
         }
     }
 
@@ -46,6 +49,7 @@ impl Kind {
         match self {
             Kind::Map => "a visibility map (.vmap)",
             Kind::Octree => "an octree",
+            Kind::Light => "the light of a map (.light)",
         }
     }
 }
@@ -368,7 +372,7 @@ impl<'a> Container<'a> {
 
 /// Says which artifact the first bytes of a file belong to, if any.
 pub fn kind_of(bytes: &[u8]) -> Option<Kind> {
-    [Kind::Map, Kind::Octree].into_iter().find(|k| bytes.starts_with(k.start()))
+    [Kind::Map, Kind::Octree, Kind::Light].into_iter().find(|k| bytes.starts_with(k.start()))
 }
 
 struct Header {
@@ -402,7 +406,7 @@ fn read_header(bytes: &[u8], kind: Kind) -> Result<Header, FormatError> {
     }
     let known = match kind {
         Kind::Map => RECTS.1 | FRACTIONS.1,
-        Kind::Octree => 0,
+        Kind::Octree | Kind::Light => 0,
     };
     if required & !known != 0 {
         return Err(FormatError::Required { flags: required });

@@ -1,4 +1,4 @@
-//! The fixed rows of both artifacts, as FORMAT.md lays them out.
+//! The fixed rows of octrees and maps, as FORMAT.md lays them out.
 
 use pvmap_geometry::normal::Normal;
 use pvmap_geometry::{Box3, Rect, morton};
