@@ -12,7 +12,7 @@ fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let bytes = std::fs::read(&args[0]).unwrap();
     let (albedo, error) = (args[1].parse::<f64>().unwrap(), args[2].parse::<f64>().unwrap());
-    let map = Map::open(&bytes).unwrap();
+    let map = Map::open(&bytes).unwrap().solid();
     let start = Instant::now();
     let elements = Elements::of_map(map.view()).unwrap();
     let n = elements.len();
@@ -33,7 +33,10 @@ fn main() {
     println!("closed: {}, {:.2} s", planned.plan.is_closed, start.elapsed().as_secs_f64());
     let lit = scene.run(&planned, None, &Quiet).unwrap();
     println!("{:?} {:?}", lit.work, lit.stats);
-    println!("operator {:.1e}, rows {:.1e}, residual {:.1e}", lit.operator_error, lit.row_error, lit.residual);
+    println!(
+        "operator {:.1e}, rows {:.1e}, residual {:.1e}",
+        lit.operator_error, lit.row_error, lit.residual
+    );
     println!("{:?}, {:.2} s", lit.channels[0].balance, start.elapsed().as_secs_f64());
     let again = Instant::now();
     let relit = scene.run(&planned, Some(lit.scale.clone()), &Quiet).unwrap();

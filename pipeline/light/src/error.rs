@@ -93,6 +93,16 @@ pub enum LightError {
     /// The map does not answer.
     #[error(transparent)]
     Query(#[from] QueryError),
+    /// There are more pairs than the memory holds.
+    #[error(
+        "memory = {} MiB: no room for what this map exchanges; raise --memory, or build the map \
+         with --opening-angle 0.1 or --min-exchange 1e-6, which pairs more at a time",
+        limit_bytes >> 20
+    )]
+    Memory {
+        /// What there is for them, in bytes.
+        limit_bytes: u64,
+    },
     /// The run was asked to stop.
     #[error("stopped")]
     Stopped,

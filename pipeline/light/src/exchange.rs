@@ -1,5 +1,7 @@
 //! The exchange of light between all elements that see each other, as an operator.
 
+use std::sync::Arc;
+
 use pvmap_vmap::Fraction;
 use pvmap_vmap::fraction::SEGMENTS;
 use rayon::prelude::*;
@@ -24,7 +26,7 @@ use crate::sum::sum;
 /// that depends on the scene alone, so results have the same bits for any number of threads.
 #[derive(Debug)]
 pub struct Exchange {
-    pub(crate) elements: Elements,
+    pub(crate) elements: Arc<Elements>,
     pub(crate) hierarchy: Hierarchy,
     pub(crate) kernel: Kernel,
     /// For each node, the elements that its own exchange light with one by one.
@@ -42,6 +44,14 @@ pub struct Exchange {
 pub(crate) struct Share {
     pub(crate) elements: Span,
     pub(crate) sixteenths: i8,
+}
+
+impl Share {
+    /// Gives the part, -1…1.
+    #[inline]
+    pub(crate) fn part(self) -> f64 {
+        f64::from(self.sixteenths) / f64::from(SEGMENTS)
+    }
 }
 
 /// What the multipole method adds.
@@ -120,14 +130,29 @@ impl Exchange {
     /// # Errors
     /// Where the leaves of the tree are not the elements, or a link joins what it may not.
     pub fn direct(
-        elements: Elements,
+        elements: impl Into<Arc<Elements>>,
         hierarchy: Hierarchy,
         links: &(impl Links + ?Sized),
         kernel: Kernel,
     ) -> Result<Exchange, LightError> {
+        Exchange::within(elements.into(), hierarchy, links, kernel, (None, u64::MAX))
+    }
+
+    /// Makes an exchange of some order, or without grids, whose lists take so many bytes at the
+    /// most.
+    pub(crate) fn within(
+        elements: Arc<Elements>,
+        hierarchy: Hierarchy,
+        links: &(impl Links + ?Sized),
+        kernel: Kernel,
+        (order, limit_bytes): (Option<usize>, u64),
+    ) -> Result<Exchange, LightError> {
+        if let Some(order) = order {
+            return Exchange::by_grids(elements, hierarchy, links, kernel, (order, limit_bytes));
+        }
         let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
         let grids = Grids::default();
-        let pairs = walk(&hierarchy, &bounds, &grids, kernel, 1, links)?;
+        let pairs = walk(&hierarchy, &bounds, &grids, kernel, (1, limit_bytes), links)?;
         let near = of_spans(&hierarchy, &pairs.near);
         Exchange {
             elements,
@@ -151,11 +176,21 @@ impl Exchange {
     /// # Errors
     /// Those of [`Self::direct`], or where there is no such order.
     pub fn multipole(
-        elements: Elements,
+        elements: impl Into<Arc<Elements>>,
         hierarchy: Hierarchy,
         links: &(impl Links + ?Sized),
         kernel: Kernel,
         order: usize,
+    ) -> Result<Exchange, LightError> {
+        Exchange::by_grids(elements.into(), hierarchy, links, kernel, (order, u64::MAX))
+    }
+
+    fn by_grids(
+        elements: Arc<Elements>,
+        hierarchy: Hierarchy,
+        links: &(impl Links + ?Sized),
+        kernel: Kernel,
+        (order, limit_bytes): (usize, u64),
     ) -> Result<Exchange, LightError> {
         if !(1..=MAX_ORDER).contains(&order) {
             let (what, range) = ("the order", "1 to 7");
@@ -167,7 +202,8 @@ impl Exchange {
             return Err(LightError::Tree { node: MAX_NODES, what });
         }
         let grids = Grids::of(&elements, &hierarchy, &bounds, order);
-        let Pairs { near, far } = walk(&hierarchy, &bounds, &grids, kernel, order, links)?;
+        let Pairs { near, far } =
+            walk(&hierarchy, &bounds, &grids, kernel, (order, limit_bytes), links)?;
         let near = of_spans(&hierarchy, &near);
         let both = |&(a, b, is_turned): &(u32, u32, bool)| {
             [(a, Partner::new(b, is_turned)), (b, Partner::new(a, is_turned))]
@@ -276,13 +312,9 @@ impl Exchange {
     }
 
     /// Gives what arrives at an element one by one: all but what grids bring.
-    pub(crate) fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
-        self.near_flux_at(self.hierarchy.leaf_of(element), element as usize, b)
-    }
-
-    /// The same of an element whose leaf is known.
-    pub(crate) fn near_flux_at(&self, leaf: u32, i: usize, b: &[f64]) -> f64 {
+    fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
         let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;
+        let (leaf, i) = (hierarchy.leaf_of(element), element as usize);
         let rows = hierarchy.path(leaf).map(|node| near.of_node(node));
         let rows = rows.filter(|ranges| !ranges.is_empty());
         let one_by_one: f64 = rows.map(|ranges| kernel.row(elements, i, ranges, b)).sum();
@@ -348,9 +380,10 @@ fn walk(
     bounds: &[Bounds],
     grids: &Grids,
     kernel: Kernel,
-    order: usize,
+    (order, limit_bytes): (usize, u64),
     links: &(impl Links + ?Sized),
 ) -> Result<Pairs, LightError> {
     let (regularisation, all_face) = (kernel.regularisation(), links.all_face());
-    Walk { hierarchy, bounds, grids, regularisation, order, all_face }.pairs(links)
+    let walk = Walk { hierarchy, bounds, grids, regularisation, order, all_face, limit_bytes };
+    walk.pairs(links)
 }

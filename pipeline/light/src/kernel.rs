@@ -1,9 +1,9 @@
 //! How much light two elements exchange.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 
 use multiversion::multiversion;
-use pvmap_vmap::fraction::SEGMENTS;
 
 use crate::element::{Elements, Record};
 use crate::error::LightError;
@@ -72,6 +72,88 @@ impl Kernel {
         b: &[f64],
     ) -> f64 {
         row_of_shares(self.regularisation, elements, i, shares, b)
+    }
+}
+
+/// Sources put side by side, for many targets to take: so many at a time.
+const SOURCES: usize = 256;
+
+/// Elements that send, by column, and the exitance of each.
+pub(crate) struct Sources {
+    columns: [[f64; SOURCES]; 8],
+    exitances: [f64; SOURCES],
+    n: usize,
+}
+
+impl Sources {
+    pub(crate) fn new() -> Sources {
+        Sources { columns: [[0.0; SOURCES]; 8], exitances: [0.0; SOURCES], n: 0 }
+    }
+
+    /// Takes an element; says whether there is no room for another.
+    #[inline]
+    pub(crate) fn push(&mut self, elements: &Elements, j: usize, exitance: f64) -> bool {
+        for (column, v) in self.columns.iter_mut().zip(elements.records[j]) {
+            column[self.n] = v;
+        }
+        self.exitances[self.n] = exitance;
+        self.n += 1;
+        self.n == SOURCES
+    }
+
+    /// Adds what these send to some elements, and takes none any more.
+    pub(crate) fn send(&mut self, kernel: &Kernel, targets: &[Record], flux: &mut [f64]) {
+        // What has no area sends nothing: it fills up the last lanes.
+        let whole = self.n.next_multiple_of(LANES);
+        self.columns[AREA][self.n..whole].fill(0.0);
+        self.n = 0;
+        let columns = self.columns.each_ref().map(|column| &column[..whole]);
+        send(kernel.regularisation, columns, &self.exitances[..whole], targets, flux);
+    }
+}
+
+impl Kernel {
+    /// Adds what elements one after another send to some others; a multiple of [`LANES`] of them.
+    pub(crate) fn send(
+        &self,
+        elements: &Elements,
+        from: Range<usize>,
+        b: &[f64],
+        (targets, flux): (&[Record], &mut [f64]),
+    ) {
+        let columns = elements.columns().map(|column| &column[from.clone()]);
+        send(self.regularisation, columns, &b[from], targets, flux);
+    }
+}
+
+/// The column of areas.
+const AREA: usize = 6;
+
+#[multiversion(targets = "simd")]
+fn send(c: f64, columns: [&[f64]; 8], b: &[f64], targets: &[Record], flux: &mut [f64]) {
+    let [x, y, z, u, v, w, area, two_sided] = columns;
+    for (here, flux) in targets.iter().zip(flux) {
+        let mut sums = [0.0; LANES];
+        let mut k = 0;
+        while k < b.len() {
+            let columns = [
+                eight(x, k),
+                eight(y, k),
+                eight(z, k),
+                eight(u, k),
+                eight(v, k),
+                eight(w, k),
+                eight(area, k),
+                eight(two_sided, k),
+            ];
+            add(c, here, columns, eight(b, k), &mut sums);
+            k += LANES;
+        }
+        let mut sum = 0.0;
+        for lane in 0..LANES {
+            sum += sums[lane];
+        }
+        *flux += sum;
     }
 }
 
@@ -158,7 +240,7 @@ fn row_of_shares(c: f64, elements: &Elements, i: usize, shares: &[Share], b: &[f
     let mut sums = [0.0; LANES];
     let (mut waiting, mut there, mut n_waiting) = ([i; LANES], [0.0; LANES], 0);
     for share in shares {
-        let part = f64::from(share.sixteenths) / f64::from(SEGMENTS);
+        let part = share.part();
         for j in share.elements.0 as usize..share.elements.1 as usize {
             (waiting[n_waiting], there[n_waiting]) = (j, part * b[j]);
             n_waiting += 1;

@@ -1,5 +1,7 @@
 //! From materials and lamps to the light of a scene: plan first, then no more than planned.
 
+use std::sync::Arc;
+
 use pvmap_query::Map;
 use pvmap_store::Watch;
 
@@ -27,12 +29,20 @@ pub struct LightOptions {
     pub order: Option<usize>,
     /// What is wanted of effects.
     pub wishes: Wishes,
+    /// Memory that the lists of the exchange may take.
+    pub memory_bytes: u64,
 }
 
 impl Default for LightOptions {
     fn default() -> LightOptions {
-        let wishes = Wishes::default();
-        LightOptions { error: 0.01, worth: 1e-3, is_direct: false, order: None, wishes }
+        LightOptions {
+            error: 0.01,
+            worth: 1e-3,
+            is_direct: false,
+            order: None,
+            wishes: Wishes::default(),
+            memory_bytes: 1 << 30,
+        }
     }
 }
 
@@ -40,7 +50,7 @@ impl Default for LightOptions {
 #[derive(Debug)]
 pub struct Lighting<'a> {
     pub(crate) map: &'a Map<'a>,
-    pub(crate) elements: Elements,
+    pub(crate) elements: Arc<Elements>,
     pub(crate) materials: Materials,
     pub(crate) lamps: Vec<Lamp>,
     pub(crate) sky: Option<Sky>,
@@ -136,6 +146,7 @@ impl<'a> Lighting<'a> {
                 return Err(LightError::Setting { what, value, range });
             }
         }
+        let elements = Arc::new(elements);
         Ok(Lighting { map, elements, materials, lamps, sky, options })
     }
 

@@ -7,9 +7,14 @@
 
 use crate::exchange::{Exchange, Far};
 use crate::fmm::translate::{Triple, translate};
+use crate::kernel::{LANES, Sources};
 
 /// Elements that are worth a task of their own.
 const MIN_TASK: u32 = 512;
+/// Targets for which sources are worth putting side by side.
+const MIN_TARGETS: u32 = 4;
+/// Sources one after another that are read where they are.
+const MIN_IN_PLACE: usize = 4 * LANES;
 
 /// A vector for every place or element of a subtree.
 type TripleMut<'a> = [&'a mut [f64]; 3];
@@ -148,9 +153,9 @@ impl<'a> Passes<'a> {
                 }
             }
         }
-        let (first, end) = tree.node(node).elements;
-        if tree.is_leaf(node) && end > first {
-            flux[0] = self.flux_at(node, first as usize, &field);
+        self.add_near(node, flux);
+        if tree.is_leaf(node) {
+            self.add_field_at(tree.node(node).elements.0 as usize, &field, &mut flux[0]);
         } else {
             self.spread_siblings(node + 1, tree.node(node).end, Below { local: rest, field, flux });
         }
@@ -226,15 +231,49 @@ impl<'a> Passes<'a> {
         }
     }
 
-    /// Gives the flux that arrives at a leaf.
-    fn flux_at(&self, leaf: u32, i: usize, field: &TripleMut<'_>) -> f64 {
-        let elements = &self.exchange.elements;
-        let mut flux = self.exchange.near_flux_at(leaf, i, self.b);
+    /// Adds the flux that arrives at a node's elements one by one.
+    fn add_near(&self, node: u32, flux: &mut [f64]) {
+        let Exchange { elements, hierarchy, kernel, near, shares, .. } = self.exchange;
+        let (ranges, shares) = (near.of_node(node), shares.of_node(node));
+        if ranges.is_empty() && shares.is_empty() {
+            return;
+        }
+        let (first, end) = hierarchy.node(node).elements;
+        if end - first < MIN_TARGETS {
+            for (flux, i) in flux.iter_mut().zip(first as usize..) {
+                *flux += kernel.row(elements, i, ranges, self.b);
+                *flux += kernel.row_of_shares(elements, i, shares, self.b);
+            }
+            return;
+        }
+        let targets = &elements.records[first as usize..end as usize];
+        let mut sources = Sources::new();
+        let whole = ranges.iter().map(|&span| (span, 1.0));
+        let parts = shares.iter().map(|share| (share.elements, share.part()));
+        for ((from, to), part) in whole.chain(parts) {
+            let (mut from, to) = (from as usize, to as usize);
+            if part == 1.0 && to - from >= MIN_IN_PLACE {
+                let end = to - (to - from) % LANES;
+                kernel.send(elements, from..end, self.b, (targets, flux));
+                from = end;
+            }
+            for j in from..to {
+                if sources.push(elements, j, part * self.b[j]) {
+                    sources.send(kernel, targets, flux);
+                }
+            }
+        }
+        sources.send(kernel, targets, flux);
+    }
+
+    /// Adds what arrives at a leaf's element by grids, and what is beyond the exchange of middles.
+    fn add_field_at(&self, i: usize, field: &TripleMut<'_>, flux: &mut f64) {
+        let Exchange { elements, corrections, .. } = self.exchange;
+        *flux += corrections.flux(i, self.b);
         if self.exchange.far.is_some() {
             let along = (0..3).map(|axis| elements.normal[axis][i] * field[axis][0]);
-            flux -= elements.area[i] * along.sum::<f64>();
+            *flux -= elements.area[i] * along.sum::<f64>();
         }
-        flux
     }
 
     /// Gives the places of a node: those of its grid, else of its elements.

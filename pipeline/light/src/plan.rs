@@ -114,7 +114,9 @@ pub struct Plan {
     pub order: Option<usize>,
     /// Bounces after which what is left is below the tolerance.
     pub bounces: u32,
-    /// Whether nothing escapes.
+    /// The share of directions from surfels in which there is nothing.
+    pub open_share: f64,
+    /// Whether that is so little that nothing escapes.
     pub is_closed: bool,
 }
 

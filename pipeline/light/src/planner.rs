@@ -1,6 +1,7 @@
 //! What a scene calls for: the evidence, the bounds and the costs of a plan.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use pvmap_store::Watch;
 use rayon::prelude::*;
@@ -18,14 +19,19 @@ use crate::sum::sum;
 /// What grids of each order err by, at the most of all surfels of a furnished room, as shares of
 /// the largest flux: measured, `examples/speed.rs`, and rounded up.
 const ORDER_ERRORS: [f64; 8] = [f64::NAN, 0.5, 4e-2, 4e-3, 8e-4, 6e-5, 6e-6, 1e-6];
-/// The share of open directions up to which a scene is closed: scans have holes.
-const CLOSED: f64 = 2e-3;
+/// The share of open directions below which a scene is closed: patches do not quite meet at edges,
+/// which leaves 0.4 % in a closed room.
+const CLOSED: f64 = 1e-2;
 /// Elements from which it is looked whether anything escapes.
 const N_LOOKED_FROM: usize = 256;
 /// Processor seconds of a segment in the air, of a pair of elements, and of one between a place of
 /// a grid and another, roughly: for costs that are said beforehand.
 const SEGMENT_SECONDS: f64 = 5e-6;
 const PAIR_SECONDS: f64 = 4e-9;
+/// Bytes held for an element, a node and a pair with a visible fraction, at the most.
+const ELEMENT_BYTES: u64 = 128 + 6 * 8 + 12 + 24 * 8;
+const NODE_BYTES: u64 = 24 + 128 + 72 + 64;
+const FRACTION_BYTES: u64 = 12 + 2 * 16 + 2 * 12;
 /// Of a count that never was, with 95 % certainty the rate is below this over the tries.
 const NEVER: f64 = 3.0;
 
@@ -110,7 +116,7 @@ impl Lighting<'_> {
                 Some(_) if !wants_order => Some(1),
                 other => other,
             };
-            let mut made = self.exchange(&hierarchy, &mut order)?;
+            let mut made = self.exchange(&hierarchy, order)?;
             if is_on(Effect::NearField, &near_field) {
                 made = made.with_near_field(&near)?;
             }
@@ -142,8 +148,9 @@ impl Lighting<'_> {
             Decision { effect, is_on: wish.unwrap_or(is_on), is_wish, evidence, skipped, seconds }
         };
         let decisions = calls.into_iter().map(decide).collect();
-        let is_closed = exchanges && self.is_closed()?;
-        let plan = Plan { decisions, order, bounces: n_bounces, is_closed };
+        let open_share = if exchanges { self.open_share()? } else { 1.0 };
+        let is_closed = open_share < CLOSED;
+        let plan = Plan { decisions, order, bounces: n_bounces, open_share, is_closed };
         Ok(Planned { plan, exchange, n_lamp_tries })
     }
 
@@ -391,30 +398,40 @@ impl Lighting<'_> {
         (Call { is_on, evidence, skipped, seconds: 0.0 }, Some(order))
     }
 
-    /// Makes the exchange; where grids err by more than they may, of a higher order.
+    /// Makes the exchange.
     fn exchange(
         &self,
         hierarchy: &Hierarchy,
-        order: &mut Option<usize>,
+        order: Option<usize>,
     ) -> Result<Exchange, LightError> {
-        let (links, kernel) = (self.map.view(), Kernel::default());
-        let parts = || (self.elements.clone(), hierarchy.clone());
-        let Some(order) = order else {
-            let (elements, hierarchy) = parts();
-            return Exchange::direct(elements, hierarchy, links, kernel);
-        };
-        let (elements, hierarchy) = parts();
-        Exchange::multipole(elements, hierarchy, links, kernel, *order)
+        let limit_bytes = self.options.memory_bytes;
+        let left = limit_bytes.checked_sub(self.held_bytes(hierarchy));
+        let within = (order, left.ok_or(LightError::Memory { limit_bytes })?);
+        let links = self.map.view();
+        let elements = Arc::clone(&self.elements);
+        Exchange::within(elements, hierarchy.clone(), links, Kernel::default(), within).map_err(
+            |e| match e {
+                LightError::Memory { .. } => LightError::Memory { limit_bytes },
+                e => e,
+            },
+        )
     }
 
-    /// Says whether nothing escapes, by directions from some elements.
-    fn is_closed(&self) -> Result<bool, LightError> {
+    /// Gives the bytes that are held beside the lists of the exchange: elements, materials, what a
+    /// solution iterates with, nodes with their bounds and grids, and fractions.
+    fn held_bytes(&self, hierarchy: &Hierarchy) -> u64 {
+        let n_fractions = self.map.view().summary().n_fractions;
+        let (n_elements, n_nodes) = (self.elements.len() as u64, u64::from(hierarchy.n_nodes()));
+        ELEMENT_BYTES * n_elements + NODE_BYTES * n_nodes + FRACTION_BYTES * n_fractions
+    }
+
+    /// Gives the share of directions from some elements in which nothing is.
+    fn open_share(&self) -> Result<f64, LightError> {
         let air = Air::new(self.map, &self.elements);
         let looks = self.some(N_LOOKED_FROM).into_par_iter().map(|id| air.sky_over(id, None));
         let looks = looks.collect::<Result<Vec<_>, LightError>>()?;
         let open = sum(looks.iter().map(|look| f64::from(look.0)));
-        eprintln!("open {}", open / looks.len() as f64);
-        Ok(open <= CLOSED * looks.len() as f64)
+        Ok(open / looks.len().max(1) as f64)
     }
 
     /// Gives some elements, evenly spread over all.

@@ -152,7 +152,7 @@ impl Map<'_> {
         best: Option<&Best>,
         own: Option<(&Located, Surfel)>,
     ) -> Result<Option<Best>, QueryError> {
-        let found = ray.hits(self.profile(), &self.disc_of(id, &surfel)?);
+        let found = ray.hits(self.profile(), &self.blocking_disc(id, &surfel)?);
         let Some(crossing) = found else { return Ok(None) };
         if let Some(best) = best {
             let (before, after) =

@@ -179,8 +179,12 @@ impl Map<'_> {
             }
             *n_nodes += 1;
             if node.is_leaf() && !spared.contains(&node.first_surfel) {
-                let k = self.disc_of(node.first_surfel, &self.surfel_of(id, &node)?)?;
-                if disc::blocks(self.profile(), a, b, &k) {
+                let k = self.blocking_disc(node.first_surfel, &self.surfel_of(id, &node)?)?;
+                let is_blocked = match self.is_solid() {
+                    true => disc::blocks(self.profile(), &beside(a, &k), &beside(b, &k), &k),
+                    false => disc::blocks(self.profile(), a, b, &k),
+                };
+                if is_blocked {
                     return Ok(Some(node.first_surfel));
                 }
             }
@@ -193,6 +197,17 @@ impl Map<'_> {
         }
         Ok(None)
     }
+}
+
+/// Gives an end as a surfel may block it: what stands across it, more than 60° off its normal, is
+/// not its own neighbourhood, however near. [V-2] (iii)
+fn beside(end: &Disc, k: &Disc) -> Disc {
+    let [n, m] = [end.normal, k.normal].map(|n| n.map(i64::from));
+    let dot = |a: [i64; 3], b: [i64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let along = dot(n, m);
+    let is_turned = along < 0 && !(end.two_sided || k.two_sided);
+    let is_across = is_turned || 4 * along * along < dot(n, n) * dot(m, m);
+    if is_across { Disc { radius2: 0, ..*end } } else { *end }
 }
 
 /// Makes the disc of a place in the air: it looks everywhere and nothing is too near it to block.

@@ -1,13 +1,14 @@
 //! Which pairs of nodes exchange light as wholes, and which element by element.
 
 use std::f64::consts::PI;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use crate::error::LightError;
 use crate::fmm::bounds::{Bounds, Facing};
 use crate::fmm::grid::{Grids, decay};
-use crate::hierarchy::{Hierarchy, Links};
+use crate::hierarchy::{Hierarchy, Links, Span};
 
 /// How far from the centre of a grid, in half widths of its box, what it exchanges light with must
 /// be. Boxes of one size that are two widths apart are just so far.
@@ -22,6 +23,15 @@ pub(crate) struct Pairs {
     pub(crate) far: Vec<(u32, u32, bool)>,
 }
 
+impl Pairs {
+    /// Counts the bytes of pairs, and of their lists at both ends.
+    fn bytes(&self) -> u64 {
+        let near = size_of::<(u32, u32)>() + 2 * size_of::<Span>();
+        let far = size_of::<(u32, u32, bool)>() + 2 * size_of::<u32>();
+        (self.near.len() * near + self.far.len() * far) as u64
+    }
+}
+
 /// What decides it.
 pub(crate) struct Walk<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
@@ -31,6 +41,8 @@ pub(crate) struct Walk<'a> {
     pub(crate) order: usize,
     /// Whether everything under a link faces each other.
     pub(crate) all_face: bool,
+    /// Memory that the pairs and the lists that are made of them may take.
+    pub(crate) limit_bytes: u64,
 }
 
 /// What becomes of a pair.
@@ -44,13 +56,19 @@ enum Verdict {
 impl Walk<'_> {
     /// Goes through all links, each block for itself; the result is in the order of the blocks.
     pub(crate) fn pairs(&self, links: &(impl Links + ?Sized)) -> Result<Pairs, LightError> {
+        let held = AtomicU64::new(0);
         let block = |index| {
             let mut pairs = Pairs::default();
             for (a, b) in links.block(index)? {
                 self.hierarchy.check_link((a, b))?;
                 self.descend(a, b, &mut pairs);
             }
-            Ok::<_, LightError>(pairs)
+            let bytes = pairs.bytes();
+            let held_bytes = held.fetch_add(bytes, Ordering::Relaxed) + bytes;
+            if held_bytes > self.limit_bytes {
+                return Err(LightError::Memory { limit_bytes: self.limit_bytes });
+            }
+            Ok(pairs)
         };
         let blocks: Vec<Pairs> =
             (0..links.n_blocks()).into_par_iter().map(block).collect::<Result<_, _>>()?;

@@ -361,5 +361,5 @@ fn n90_bytes_do_not_depend_on_what_the_processor_has() {
         flux.iter().fold(0u64, |sum, v| sum.rotate_left(5) ^ v.to_bits())
     };
     let sums = [case.direct(), case.multipole(3), case.multipole(5)].map(|e| sum(&e));
-    assert_eq!(sums, [0x355346b8b849a1c4, 0x08cc8cd4ba682e86, 0x2dda9467dd8057e7], "{sums:#018x?}");
+    assert_eq!(sums, [0x981f1e4c23ca8696, 0x08cc8cd4ba682e86, 0x2dda9467dd8057e7], "{sums:#018x?}");
 }
