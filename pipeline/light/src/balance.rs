@@ -91,6 +91,11 @@ impl<'a> Balanced<'a> {
         Ok(Balanced { exchange, scale, row_sums, row_error, iterations: 0 })
     }
 
+    /// Gives what is scaled.
+    pub(crate) fn exchange(&self) -> &Exchange {
+        self.exchange
+    }
+
     /// Gives Σ_j G'_ij of each element.
     pub(crate) fn rows(&self) -> &[f64] {
         &self.row_sums

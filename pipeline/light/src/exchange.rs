@@ -311,6 +311,22 @@ impl Exchange {
         if mean > 0.0 { most / mean } else { 0.0 }
     }
 
+    /// Lists the elements that links let an element see, in part or whole.
+    pub(crate) fn sources_of(&self, element: u32) -> Vec<Span> {
+        let mut spans = Vec::new();
+        for node in self.hierarchy.path(self.hierarchy.leaf_of(element)) {
+            spans.extend_from_slice(self.near.of_node(node));
+            let far = self.far.as_ref().map_or(&[][..], |far| far.lists.of_node(node));
+            spans.extend(far.iter().map(|partner| self.hierarchy.node(partner.node()).elements));
+        }
+        spans
+    }
+
+    /// Gives the exchange of two elements that see each other.
+    pub(crate) fn of_pair(&self, i: usize, j: usize) -> f64 {
+        self.kernel.exchange(&self.elements, i, j)
+    }
+
     /// Gives what arrives at an element one by one: all but what grids bring.
     fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
         let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;

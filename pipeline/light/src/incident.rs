@@ -132,6 +132,28 @@ impl<'a> Air<'a> {
         Ok((n_open as f32 / (SKY * SKY) as f32, n_segments))
     }
 
+    /// Gives what an element gets from one lamp: flux an area, by channel.
+    pub(crate) fn of_lamp(&self, lamp: &Lamp, id: u32) -> Result<[f64; 3], LightError> {
+        let mut row = Row::default();
+        self.add(lamp, id, true, &mut row)?;
+        Ok(row.irradiance)
+    }
+
+    /// Gives the element that a ray hits first, and where.
+    pub(crate) fn first_hit(
+        &self,
+        from: [f64; 3],
+        direction: [f64; 3],
+    ) -> Result<Option<(u32, [f64; 3])>, LightError> {
+        let answer = self.map.ray(add(from, self.origin), direction, None)?;
+        Ok(answer.hit.map(|hit| (hit.surfel, sub(hit.place, self.origin))))
+    }
+
+    /// Gives where elements are measured from, in the world.
+    pub(crate) fn origin(&self) -> [f64; 3] {
+        self.origin
+    }
+
     /// Computes a value for each element, many at once.
     fn each<T: Send>(
         &self,

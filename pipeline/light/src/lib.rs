@@ -31,7 +31,10 @@ mod plan;
 mod planner;
 mod polygon;
 mod solve;
+mod specular;
 mod sum;
+mod surroundings;
+mod throw;
 mod vector;
 
 pub use area::areas_grid2;

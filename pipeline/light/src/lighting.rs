@@ -14,6 +14,7 @@ use crate::lamp::{Lamp, Sky};
 use crate::material::{Channel, Materials};
 use crate::plan::{Effect, Plan, Wishes};
 use crate::solve::{FluxBalance, Operator, SolveOptions, solve};
+use crate::specular::Thrown;
 use crate::sum::sum;
 
 /// What is lit, and how well.
@@ -123,6 +124,14 @@ pub struct Lit {
 
 /// Elements at which grids are compared with the sum pair by pair.
 const N_COMPARED: usize = 64;
+/// What is solved, once or again.
+#[derive(Clone, Copy)]
+pub(crate) struct Solved<'s> {
+    pub(crate) plan: &'s Plan,
+    pub(crate) balanced: Option<&'s Balanced<'s>>,
+    pub(crate) channels: &'s [Channel],
+}
+
 /// Rows are scaled at the most so often; in a closed box five leave 1e-3.
 const MAX_SCALINGS: usize = 20;
 
@@ -195,15 +204,51 @@ impl<'a> Lighting<'a> {
             Some(exchange) => Some(self.balanced(exchange, plan, scale, &mut lit, watch)?),
             None => None,
         };
-        for (index, channel) in channels.into_iter().enumerate() {
+        let mut incident: Vec<Vec<f64>> = (0..channels.len())
+            .map(|index| channel_of(&incident, index, plan.is_on(Effect::Color)))
+            .collect();
+        let from_outside: Vec<f64> = incident.iter().map(|h| self.flux_of(h)).collect();
+        let scene = Solved { plan, balanced: balanced.as_ref(), channels: &channels };
+        let thrown = match self.materials.has_gloss() {
+            true => self.throw(&scene, &mut incident, &mut lit, watch)?,
+            false => Thrown::default(),
+        };
+        if lit.channels.is_empty() {
+            self.solve_all(&scene, &incident, &mut lit, watch)?;
+        }
+        for (index, channel) in lit.channels.iter_mut().enumerate() {
+            let of = |values: &[f64]| values.get(index).copied().unwrap_or(0.0);
+            // What was thrown is counted where it came from, and glossy elements did not keep it.
+            channel.balance.emitted = self.flux_of(&channel.given.emission) + of(&from_outside);
+            channel.balance.absorbed -= of(&thrown.resent);
+            channel.balance.escaped += of(&thrown.escaped);
+        }
+        lit.work.n_photons = thrown.n_photons;
+        Ok(lit)
+    }
+
+    /// Solves all channels for what arrives from outside.
+    pub(crate) fn solve_all(
+        &self,
+        scene: &Solved<'_>,
+        incident: &[Vec<f64>],
+        lit: &mut Lit,
+        watch: &dyn Watch,
+    ) -> Result<(), LightError> {
+        lit.channels.clear();
+        for (channel, incident) in scene.channels.iter().zip(incident) {
             check(watch)?;
-            let incident = channel_of(&incident, index, plan.is_on(Effect::Color));
             watch.stage("solve", None, "rounds");
-            let balanced = balanced.as_ref();
-            let done = self.channel(plan, balanced, (channel, incident), &mut lit, watch)?;
+            let given = (channel.clone(), incident.clone());
+            let done = self.channel(scene, given, lit, watch)?;
             lit.channels.push(done);
         }
-        Ok(lit)
+        Ok(())
+    }
+
+    /// Sums what arrives at all elements.
+    pub(crate) fn flux_of(&self, irradiance: &[f64]) -> f64 {
+        sum(self.elements.areas().iter().zip(irradiance).map(|(a, h)| a * h))
     }
 
     /// Gives what arrives from lamps and sky.
@@ -279,12 +324,12 @@ impl<'a> Lighting<'a> {
     /// Lights one channel.
     fn channel(
         &self,
-        plan: &Plan,
-        balanced: Option<&Balanced<'_>>,
+        scene: &Solved<'_>,
         (given, incident): (Channel, Vec<f64>),
         lit: &mut Lit,
         watch: &dyn Watch,
     ) -> Result<LitChannel, LightError> {
+        let Solved { plan, balanced, .. } = *scene;
         let areas = self.elements.areas();
         let mut irradiance = incident;
         let from_outside = sum(areas.iter().zip(&irradiance).map(|(a, h)| a * h));

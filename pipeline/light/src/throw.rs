@@ -1,0 +1,81 @@
+//! Light that is thrown, reflected and thrown again.
+
+use pvmap_store::Watch;
+
+use crate::error::LightError;
+use crate::hierarchy::Hierarchy;
+use crate::lighting::{Lighting, Lit, Solved};
+use crate::plan::Effect;
+use crate::specular::{Shining, Specular, Thrown};
+use crate::surroundings::Surroundings;
+
+/// Photons times the square of the error, and their number at the least and at the most.
+const PHOTONS: f64 = 20.0;
+const MIN_PHOTONS: u64 = 10_000;
+const MAX_PHOTONS: u64 = 4_000_000;
+/// Rounds of light that is thrown, reflected and thrown again, at the most.
+const MAX_ROUNDS: u32 = 5;
+
+impl Lighting<'_> {
+    /// Adds what glossy elements throw to what arrives from outside: first of what shines, then of
+    /// what was reflected, until that is not worth it. Leaves the channels solved where it had to
+    /// solve them and nothing came after.
+    pub(crate) fn throw(
+        &self,
+        scene: &Solved<'_>,
+        incident: &mut [Vec<f64>],
+        lit: &mut Lit,
+        watch: &dyn Watch,
+    ) -> Result<Thrown, LightError> {
+        let mut thrown = Thrown::default();
+        let Some(balanced) = scene.balanced else { return Ok(thrown) };
+        let hierarchy = Hierarchy::of_map(self.map.view())?;
+        let surroundings = Surroundings::new(&self.elements, hierarchy);
+        // Photons err as one over the root of their number.
+        let n_photons = (PHOTONS / (self.options.error * self.options.error)) as u64;
+        let specular = Specular {
+            map: self.map,
+            elements: &self.elements,
+            gloss: &self.materials.gloss,
+            balanced,
+            surroundings: &surroundings,
+            refracts: scene.plan.is_on(Effect::Refraction),
+            n_photons: n_photons.clamp(MIN_PHOTONS, MAX_PHOTONS),
+        };
+        let n_glossy = specular.glossy().len() as u64;
+        let mut sent: Vec<Vec<f64>> = scene.channels.iter().map(|c| c.emission.clone()).collect();
+        if scene.plan.is_on(Effect::Caustics) {
+            watch.stage("caustics", Some(n_glossy), "surfels");
+            let shining = Shining { exitance: &sent, lamps: &self.lamps };
+            thrown.add(specular.pass(&shining, watch)?, incident);
+        }
+        if !scene.plan.is_on(Effect::DiffuseSpecularDiffuse) {
+            return Ok(thrown);
+        }
+        for _ in 0..MAX_ROUNDS {
+            self.solve_all(scene, incident, lit, watch)?;
+            let new: Vec<Vec<f64>> = lit
+                .channels
+                .iter()
+                .zip(&sent)
+                .map(|(lit, sent)| {
+                    lit.exitance.iter().zip(sent).map(|(b, sent)| (b - sent).max(0.0)).collect()
+                })
+                .collect();
+            watch.stage("caustics", Some(n_glossy), "surfels");
+            let more = specular.pass(&Shining { exitance: &new, lamps: &[] }, watch)?;
+            let resent: f64 = more.resent.iter().sum();
+            thrown.add(more, incident);
+            lit.channels.iter().zip(&mut sent).for_each(|(lit, sent)| {
+                sent.clone_from(&lit.exitance);
+            });
+            let emitted: f64 = lit.channels.iter().map(|lit| lit.balance.emitted).sum();
+            if resent <= self.options.worth * emitted {
+                break;
+            }
+        }
+        // What came last is still to be reflected.
+        lit.channels.clear();
+        Ok(thrown)
+    }
+}
