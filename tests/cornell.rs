@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
+mod vectors;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -17,6 +18,7 @@ use pvmap::vmap::OctreeView;
 use pvmap::vmap::octree::Placement;
 use pvmap::{Limits, Quiet};
 use serde_json::Value;
+use vectors::{cross, dot, sub};
 
 fn write_mesh(path: &Path, corners: &[[f64; 3]], triangles: &[[u32; 3]]) {
     let colors = vec![[0; 3]; triangles.len()];
@@ -32,18 +34,6 @@ fn two_needles(folder: &Path) -> Scene {
     needle(&path);
     let model = || read_mesh(&path).upright(Up::Y);
     Scene::with_statues(1, vec![model(), model()], None).unwrap()
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] - b[i])
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|i| a[i] * b[i]).sum()
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn triangles_of(mesh: &Mesh) -> Vec<[[f64; 3]; 3]> {

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
+mod vectors;
 
 use cli_common::{Bench, data, is_slow_asked_for, needle};
 use pvmap::geometry::Frame;
@@ -16,6 +17,7 @@ use pvmap::scenes;
 use pvmap::vmap::OctreeView;
 use pvmap::vmap::tree::{Nodes, route};
 use rayon::prelude::*;
+use vectors::{cross, dot, sub};
 
 const EYE: [f64; 3] = [2.75, 0.4, 0.0];
 
@@ -338,18 +340,6 @@ fn shadows_of_the_bunny_are_where_they_should_be() {
     bench.line("ingest room.ply").ok();
     bench.line("build room.octree").ok();
     shadows_are_where_they_should_be(&bench);
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| a[i] - b[i])
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|i| a[i] * b[i]).sum()
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn direction(a: [f64; 3]) -> [f64; 3] {
