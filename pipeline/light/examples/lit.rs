@@ -33,7 +33,10 @@ fn main() {
     println!("closed: {}, {:.2} s", planned.plan.is_closed, start.elapsed().as_secs_f64());
     let lit = scene.run(&planned, None, &Quiet).unwrap();
     println!("{:?} {:?}", lit.work, lit.stats);
-    println!("operator {:.1e}, rows {:.1e}, residual {:.1e}", lit.operator_error, lit.row_error, lit.residual);
+    println!(
+        "operator {:.1e}, rows {:.1e}, residual {:.1e}",
+        lit.operator_error, lit.row_error, lit.residual
+    );
     println!("{:?}, {:.2} s", lit.channels[0].balance, start.elapsed().as_secs_f64());
     let again = Instant::now();
     let relit = scene.run(&planned, Some(lit.scale.clone()), &Quiet).unwrap();
