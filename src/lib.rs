@@ -46,6 +46,7 @@ mod error;
 mod export;
 mod ingest;
 mod light_file;
+pub mod lights;
 mod limits;
 mod pairing;
 pub mod rows;

@@ -307,7 +307,8 @@ fn parse(name: &str, text: &str) -> Result<RawConfig, Error> {
 /// The longest a configuration may be.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
 
-fn read_text(path: &Path) -> Result<String, Error> {
+/// Reads a text file of at most 1 MiB.
+pub(crate) fn read_text(path: &Path) -> Result<String, Error> {
     let odd = |what: &str| Error::Config(format!("{}: {what}; give a TOML file", path.display()));
     let file = InputFile::open(path)?;
     if file.len_bytes() > MAX_CONFIG_BYTES {

@@ -60,7 +60,7 @@ impl Colors {
 /// Only + - × ÷, so that every machine gets the same: x^2.4 is x² times the fifth root of x².
 ///
 /// Source: IEC 61966-2-1.
-fn linear(srgb: u16) -> u16 {
+pub fn linear(srgb: u16) -> u16 {
     let c = f64::from(srgb) / 65535.0;
     let light = if c <= 0.04045 {
         c / 12.92

@@ -29,6 +29,7 @@ use rayon::prelude::*;
 use crate::OctreeError;
 use budget::Budget;
 use cells::{Cutter, Part, Rules};
+pub use color::linear;
 use points::{LeafPoint, Reader, Window};
 
 /// What a build asks of the tree.

@@ -1,0 +1,93 @@
+//! `lights.toml`: what shines on a scan and what its surfaces are made of, laid onto the surfels
+//! of its map.
+//!
+//! [`Lights`] is such a file, checked: a fault names line and column. [`EXAMPLE`] says all that one
+//! may hold. [`Lights::assign`] gives each surfel its albedo, gloss and emission, and the lamps and
+//! the sky that are added; [`majority_classes`] reads from the octree what rules by class ask for.
+
+mod assign;
+mod parse;
+mod rules;
+mod table;
+
+use std::path::Path;
+
+pub use crate::classes::majority_classes;
+use crate::config::read_text;
+use crate::{Error, lights::table::Fault};
+pub use assign::Assigned;
+use rules::{Rules, Selection};
+
+/// A `lights.toml` with all that one may hold, and what it means.
+pub const EXAMPLE: &str = include_str!("example.toml");
+
+/// What a `lights.toml` says. Two are equal if they say the same, wherever they say it.
+#[derive(Debug, Clone)]
+pub struct Lights {
+    rules: Rules,
+    glows_at: Vec<Spot>,
+    materials_at: Vec<Spot>,
+}
+
+/// Where a rule stands.
+#[derive(Debug, Clone)]
+struct Spot {
+    line: usize,
+    /// For messages: `lights.toml:12:1: `, or `12:1: ` of a text without a name.
+    prefix: String,
+}
+
+impl PartialEq for Lights {
+    fn eq(&self, other: &Lights) -> bool {
+        self.rules == other.rules
+    }
+}
+
+impl Lights {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Where it cannot be read, is larger than 1 MiB or is none, with path, line and column.
+    pub fn read(path: &Path) -> Result<Lights, Error> {
+        Lights::named(&format!("{}:", path.display()), &read_text(path)?)
+    }
+
+    /// Reads and checks a text.
+    ///
+    /// # Errors
+    /// Where it is no `lights.toml`, with line and column.
+    pub fn parse(text: &str) -> Result<Lights, Error> {
+        Lights::named("", text)
+    }
+
+    fn named(name: &str, text: &str) -> Result<Lights, Error> {
+        let spot = |at: usize| {
+            let before = text.get(..at).unwrap_or(text);
+            let line = before.matches('\n').count() + 1;
+            let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+            Spot { line, prefix: format!("{name}{line}:{column}: ") }
+        };
+        let parsed = parse::parse(text)
+            .map_err(|Fault { at, what }| Error::Config(format!("{}{what}", spot(at).prefix)))?;
+        let spots = |all: &[usize]| all.iter().map(|&at| spot(at)).collect();
+        Ok(Lights {
+            glows_at: spots(&parsed.glows_at),
+            materials_at: spots(&parsed.materials_at),
+            rules: parsed.rules,
+        })
+    }
+
+    /// Writes what is said as canonical TOML: without comments, colours in linear light, nothing
+    /// left to a default. Read again it is equal.
+    pub fn to_text(&self) -> String {
+        self.rules.to_text()
+    }
+
+    /// Says whether a rule selects by class, which a map does not have: [`majority_classes`] does.
+    pub fn needs_classes(&self) -> bool {
+        let rules = &self.rules;
+        let glows = rules.glows.iter().map(|glow| &glow.on);
+        let mut all = glows.chain(rules.materials.iter().map(|material| &material.on));
+        all.any(|on| matches!(on, Selection::Class(_)))
+    }
+}
