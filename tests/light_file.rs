@@ -183,7 +183,7 @@ fn format28_values_that_no_surfel_has_are_refused() {
             let bytes = parts.bytes_mut("found");
             let at = 24 * 100;
             let b = f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-            put(bytes, at, ((b * share) as f32).to_bits().into(), 4);
+            put(bytes, at, (b * share).to_bits().into(), 4);
         });
         assert_eq!(verify(&file).is_ok(), is_sound, "{share}");
     }

@@ -345,8 +345,8 @@ impl Values {
         columns
     }
 
-    /// Gives the colours of a file that points have by their columns: those of the light that leaves
-    /// them, where there is such a field.
+    /// Gives the colours of a file that points have by their columns: those of the light that
+    /// leaves them, where there is such a field.
     pub(super) fn colors(&self, columns: &[Vec<f64>], kind: Kind) -> Option<Vec<[u16; 3]>> {
         let (light, at) = self.shown.as_ref()?;
         Some(light.colors(&columns[*at..], kind))

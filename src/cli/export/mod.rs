@@ -68,8 +68,8 @@ Fields:
   radiosity            radiosity_red, _green, _blue, or radiosity in grey light: with --light the
                        light that leaves the point, flux an area in the unit of the lights. Times
                        --exposure it becomes the point's colour, too; with --scan colours stay.
-                       auto makes of the area that does not shine by itself 95 % darker than 0.8
-                       of white, and says what that came to
+                       with auto 95 % of the area that does not shine by itself stay below 0.8 of
+                       white, and what that came to is said
   irradiance           irradiance_red, ... likewise: the light that arrives at the point
   sky-view             sky_view: with --light the share of open sky above its surfel, weighted with
                        the cosine: 1 on an open plain, 0.5 at the foot of a high wall

@@ -26,8 +26,8 @@ limbs from the larger discs that stand for them.
 
 With --light the colours are the radiosity that pvmap light found: of a surfel, or of a point of
 --octree, which has the light of its place and the scan's own colour for a texture. --exposure N
-multiplies it; auto makes of the area that does not shine by itself 95 % darker than 0.8 of white,
-and what that came to is said, so that the next picture can have the same.
+multiplies it; with auto 95 % of the area that does not shine by itself stay below 0.8 of white, and
+what that came to is said, so that the next picture can have the same.
 
 Colours:
   rgb          the scan's, grey where it has none
