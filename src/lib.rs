@@ -66,7 +66,7 @@ pub use export::{
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use light_file::{LightChannel, LightContent, write_light};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
-pub use lit::{Exposure, Lit, require_light};
+pub use lit::{Exposure, LitMap, require_light};
 pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;
 pub use pvmap_light as light;

@@ -25,7 +25,7 @@ const AUTO_SHARE: f64 = 0.95;
 
 /// The light of a map's surfels, read from a light file.
 #[derive(Debug)]
-pub struct Lit {
+pub struct LitMap {
     surfels: Vec<LitSurfel>,
     irradiance: Irradiance,
     is_grey: bool,
@@ -41,7 +41,7 @@ struct LitSurfel {
     color: [f32; 3],
 }
 
-impl Lit {
+impl LitMap {
     /// Reads the light of a map. Paths are those of messages.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Lit {
     pub fn read(
         (light_path, light): (&Path, &LightView<'_>),
         (map_path, map): (&Path, &MapView<'_>),
-    ) -> Result<Lit, Error> {
+    ) -> Result<LitMap, Error> {
         require_light((light_path, light), (map_path, map))?;
         let of_light = |e: FormatError| Error::artifact(light_path, e);
         let of_map = |e: FormatError| Error::artifact(map_path, e);
@@ -72,7 +72,7 @@ impl Lit {
             LightError::Format(e) => of_map(e),
             e => Error::Data(format!("{}: {e}", light_path.display())),
         })?;
-        Ok(Lit { surfels, irradiance, is_grey: light.summary().n_channels == 1 })
+        Ok(LitMap { surfels, irradiance, is_grey: light.summary().n_channels == 1 })
     }
 
     /// Gives the bytes that the light of so many surfels holds in memory, about.

@@ -14,7 +14,7 @@ use super::fields::PointField;
 use super::lattice::world;
 use super::output::Kind;
 use crate::Error;
-use crate::lit::{Exposure, Lit, require_light};
+use crate::lit::{Exposure, LitMap, require_light};
 
 /// The light of a map that an export shows.
 #[derive(Debug, Clone)]
@@ -28,7 +28,7 @@ pub struct ExportLight {
 /// Light that is ready to be asked about points.
 pub(super) struct PointLight {
     /// Where a field needs it.
-    lit: Option<Lit>,
+    lit: Option<LitMap>,
     /// The open sky above each surfel, where a field needs it.
     sky: Vec<f32>,
     exposure: f64,
@@ -65,7 +65,7 @@ impl PointLight {
         let view = LightView::open(&bytes).map_err(|e| Error::artifact(path, e))?;
         require_light((path, &view), (map_path, map))?;
         let lit = match fields.iter().any(|f| f.needs_places()) {
-            true => Some(Lit::read((path, &view), (map_path, map))?),
+            true => Some(LitMap::read((path, &view), (map_path, map))?),
             false => None,
         };
         let exposure = match &lit {
@@ -103,7 +103,7 @@ impl PointLight {
         let lit = fields.iter().any(|f| f.needs_places());
         let sky = fields.contains(&PointField::SkyView);
         let of_sky = u64::from(n_surfels) * size_of::<f32>() as u64;
-        u64::from(lit) * Lit::held_bytes(n_surfels) + u64::from(sky) * of_sky
+        u64::from(lit) * LitMap::held_bytes(n_surfels) + u64::from(sky) * of_sky
     }
 
     /// Says whether all light has one colour.
@@ -131,7 +131,7 @@ impl PointLight {
     fn each(
         &self,
         points: &LitPoints<'_>,
-        light: impl Fn(&Lit, GridPoint, [f32; 3], u32, Option<Rgb>) -> [f64; 3] + Sync,
+        light: impl Fn(&LitMap, GridPoint, [f32; 3], u32, Option<Rgb>) -> [f64; 3] + Sync,
     ) -> Vec<[f64; 3]> {
         let LitPoints { batch, surfels, normals } = *points;
         let Some(lit) = &self.lit else { return vec![[0.0; 3]; batch.len()] };

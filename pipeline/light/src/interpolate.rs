@@ -10,6 +10,7 @@ use pvmap_vmap::MapView;
 
 use crate::area::areas_grid2;
 use crate::error::LightError;
+use crate::vector::{dot, sub};
 
 /// Spacings of surfels, the roots of their areas, that one reaches from its centroid. With fewer a
 /// place may be in the reach of one alone and surfels show as blocks; with more shadows get wider.
@@ -26,14 +27,14 @@ const GRID_BITS: u32 = 22;
 /// some 100 bytes a surfel.
 #[derive(Debug)]
 pub struct Irradiance {
-    surfels: Vec<Lit>,
+    surfels: Vec<Neighbour>,
     /// From the finest cells to the coarsest.
     layers: Vec<Layer>,
 }
 
 /// A surfel as places near it see it, in grid steps.
 #[derive(Debug, Clone, Copy)]
-struct Lit {
+struct Neighbour {
     centroid: [f32; 3],
     /// Of length 1, or zero.
     normal: [f32; 3],
@@ -70,7 +71,7 @@ impl Irradiance {
         let mut surfels = Vec::with_capacity(expected);
         for ((id, area), &irradiance) in (0..).zip(areas_grid2(map)?).zip(irradiance) {
             let surfel = map.surfel(id)?;
-            surfels.push(Lit {
+            surfels.push(Neighbour {
                 centroid: surfel.centroid.map(|v| v as f32),
                 normal: unit(surfel.normal.map(f32::from)),
                 two_sided: surfel.two_sided,
@@ -115,7 +116,7 @@ impl Irradiance {
     }
 }
 
-impl Lit {
+impl Neighbour {
     fn reach(&self) -> f64 {
         REACH * f64::from(self.spacing)
     }
@@ -150,7 +151,7 @@ impl Lit {
 
     /// Gives its weight at a place.
     fn weight(&self, place: [f64; 3], normal: [f64; 3]) -> f64 {
-        let away = [0, 1, 2].map(|i| place[i] - f64::from(self.centroid[i]));
+        let away = sub(place, self.centroid.map(f64::from));
         let near = 1.0 - dot(away, away) / (self.reach() * self.reach());
         if near <= 0.0 {
             return 0.0;
@@ -198,10 +199,6 @@ fn key([x, y, z]: [u32; 3]) -> u64 {
 fn smooth(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 fn unit(n: [f32; 3]) -> [f32; 3] {

@@ -32,6 +32,6 @@ pub use error::RenderError;
 pub use fit::Side;
 pub use map::MapSplats;
 pub use octree::OctreeSplats;
-pub use paint::{Lighting, Paint, Sample, Seen};
+pub use paint::{ColorOf, Paint, Sample, Seen};
 pub use picture::Picture;
 pub use source::{Clipped, ColorBy, Shape, Source, Splat, Values};

@@ -16,14 +16,14 @@ pub enum Seen<'a> {
 }
 
 /// Gives a surfel, or a point of a surfel with that surfel's id, the colour that light gives it.
-pub type Lighting<'a> = &'a (dyn Fn(u32, &Sample) -> Rgb + Sync);
+pub type ColorOf<'a> = &'a (dyn Fn(u32, &Sample) -> Rgb + Sync);
 
 /// Colours surfels and points.
 #[derive(Clone)]
 pub struct Paint<'a> {
     color_by: ColorBy,
     seen: Option<Seen<'a>>,
-    lighting: Option<Lighting<'a>>,
+    lighting: Option<ColorOf<'a>>,
 }
 
 /// What is known of a surfel or a point.
@@ -56,7 +56,7 @@ impl<'a> Paint<'a> {
     }
 
     /// Shows light, whatever it coloured by; what is `seen` is violet still.
-    pub fn lit(self, lighting: Lighting<'a>) -> Paint<'a> {
+    pub fn lit(self, lighting: ColorOf<'a>) -> Paint<'a> {
         Paint { lighting: Some(lighting), ..self }
     }
 

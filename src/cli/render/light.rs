@@ -4,14 +4,14 @@ use std::path::Path;
 
 use pvmap::render::{Rgb, Sample};
 use pvmap::vmap::{LightView, MapView};
-use pvmap::{Error, Exposure, Lit, Mapped, Watch};
+use pvmap::{Error, Exposure, LitMap, Mapped, Watch};
 
 use super::Args;
 use crate::cli::Context;
 
 /// Light, and how much of it is white.
 pub(super) struct Light {
-    lit: Lit,
+    lit: LitMap,
     exposure: f64,
 }
 
@@ -20,7 +20,7 @@ pub(super) fn of(args: &Args, map: &MapView<'_>, map_path: &Path) -> Result<Opti
     let Some(path) = &args.light else { return Ok(None) };
     let bytes = Mapped::open(path)?;
     let view = LightView::open(&bytes).map_err(|e| Error::artifact(path, e))?;
-    let lit = Lit::read((path, &view), (map_path, map))?;
+    let lit = LitMap::read((path, &view), (map_path, map))?;
     let exposure = lit.exposure(args.exposure, map).map_err(|e| Error::artifact(map_path, e))?;
     Ok(Some(Light { lit, exposure }))
 }
