@@ -48,6 +48,7 @@ mod ingest;
 mod light_file;
 pub mod lights;
 mod limits;
+mod lit;
 mod pairing;
 pub mod rows;
 pub mod scenes;
@@ -60,12 +61,13 @@ pub use classes::class_points;
 pub use config::BuildConfig;
 pub use error::Error;
 pub use export::{
-    ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file, begin_table,
-    export_points, export_surfels, write_points, write_surfels,
+    ExportLight, ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file,
+    begin_table, export_points, export_surfels, write_points, write_surfels,
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use light_file::{LightChannel, LightContent, write_light};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
+pub use lit::{Exposure, LitMap, require_light};
 pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;
 pub use pvmap_light as light;

@@ -27,6 +27,7 @@ fn request(bench: &Bench, output: &str) -> ExportRequest {
         ],
         snap: Snap::default(),
         scan: None,
+        light: None,
     }
 }
 

@@ -1,28 +1,31 @@
 //! `pvmap info`: what is in an artifact.
 
+mod light;
 mod quality;
 mod wide;
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::geometry::Frame;
 use pvmap::query::{Map, QueryError};
 use pvmap::vmap::container::kind_of;
 use pvmap::vmap::frame::{CrsKind, FrameRecord};
-use pvmap::vmap::{FormatError, Kind, MapView, OctreeView};
+use pvmap::vmap::{FormatError, Kind, LightView, MapView, OctreeView};
 use pvmap::{Error, Watch};
 use serde_json::{Value, json};
 
 use super::build::fewer_links;
 use super::{Context, Outcome, map_file, mib, one_line, parse_some, print_json};
 
-/// Show what is in an octree or a map
+/// Show what is in an octree, a map or a light file
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Lengths and places are in the scan's units. Only the head of the file is read, however large it
-is, and of a map the surfels; pvmap verify checks the rest.
+is, and of a map the surfels; pvmap verify checks the rest. Of a light file it says how exact it is
+asked to be and is, where the flux of each channel went, which effects were and were not computed,
+and what shines; flux is in the unit of the lights.
 
 Of a map it names, where there are any, the surfels that are suspiciously wide: with a radius of
 more than 20 times the side of a square that as many points cover at the median spacing. Such a
@@ -50,10 +53,11 @@ points that normals are estimated from:
 Examples:
   pvmap info grotto.octree
   pvmap info grotto.octree --quality
-  pvmap info grotto.vmap --json")]
+  pvmap info grotto.vmap --json
+  pvmap info grotto.light")]
 pub(super) struct Args {
-    /// A .vmap file or an .octree folder
-    #[arg(value_name = "NAME.vmap|NAME.octree")]
+    /// A .vmap or .light file or an .octree folder
+    #[arg(value_name = "FILE")]
     file: PathBuf,
     /// Look at points of the octree, too: spacing, noise and normals
     #[arg(long)]
@@ -84,13 +88,19 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
             }
             fields
         }
+        Some(Kind::Light) => {
+            if args.quality {
+                return Err(no_quality(&args.file, "light").into());
+            }
+            let view = LightView::open(&bytes).map_err(named)?;
+            light::fields(&view, bytes.len()).map_err(named)?
+        }
         _ => {
             let of_map = |e| Error::of_query(&path, e);
             let asked = Map::open(&bytes).map_err(of_map)?;
             let mut fields = map(asked.view(), bytes.len()).map_err(named)?;
             if args.quality {
-                let message = "is a map, and --quality is about points; give the octree";
-                return Err(Error::Usage(format!("{}: {message}", args.file.display())).into());
+                return Err(no_quality(&args.file, "a map").into());
             }
             match wide::field(&asked, &context.progress) {
                 Ok(found) => fields.extend(found),
@@ -108,6 +118,12 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         print(&fields, 0, &mut io::stdout().lock())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses to look at the points of what has none.
+fn no_quality(path: &Path, what: &str) -> Error {
+    let message = format!("is {what}, and --quality is about points; give the octree");
+    Error::Usage(format!("{}: {message}", path.display()))
 }
 
 /// Measures a sample of points, and warns where normals are not theirs.
@@ -129,6 +145,8 @@ enum Field {
     One(Value, Option<String>),
     Group(Fields),
     List(Vec<Fields>),
+    /// Lines of a text, those below the key as they are.
+    Lines(Vec<String>),
 }
 
 fn one(value: impl Into<Value>) -> Field {
@@ -247,6 +265,7 @@ fn object(fields: &Fields) -> Value {
         Field::One(value, _) => value.clone(),
         Field::Group(fields) => object(fields),
         Field::List(items) => items.iter().map(object).collect(),
+        Field::Lines(lines) => json!(lines),
     };
     fields.iter().map(|(key, field)| ((*key).to_owned(), value(field))).collect()
 }
@@ -271,6 +290,12 @@ fn print(fields: &Fields, depth: usize, out: &mut impl Write) -> io::Result<()> 
             Field::Group(fields) => {
                 writeln!(out, "{:indent$}{key}", "")?;
                 print(fields, depth + 1, out)?;
+            }
+            Field::Lines(lines) => {
+                writeln!(out, "{:indent$}{key}", "")?;
+                for line in lines {
+                    writeln!(out, "{:indent$}  {}", "", one_line(line))?;
+                }
             }
             Field::List(items) => {
                 for item in items {

@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use clap::{Parser, Subcommand};
 use pvmap::scenes::{self, Model};
-use pvmap::{Error, StoreError, VisibilityError};
+use pvmap::{Error, Exposure, StoreError, VisibilityError};
 
 use crate::progress::{Mode, Progress};
 
@@ -288,6 +288,15 @@ fn parse_point(text: &str) -> Result<[f64; 3], String> {
         .collect::<Option<_>>()
         .ok_or_else(|| format!("{text:?} is not three numbers; write x,y,z"))?;
     parts.try_into().map_err(|_| format!("{text:?} is not three numbers; write x,y,z"))
+}
+
+/// Reads `auto`, or a number above 0.
+fn parse_exposure(text: &str) -> Result<Exposure, String> {
+    match text.parse::<f64>() {
+        _ if text == "auto" => Ok(Exposure::Auto),
+        Ok(times) if times > 0.0 && times.is_finite() => Ok(Exposure::Times(times)),
+        _ => Err("write a number above 0, or auto".to_owned()),
+    }
 }
 
 /// Reads a number of points: `400000`, `400k`, `20M`.

@@ -23,6 +23,7 @@ use super::{Context, Outcome, map_file, refuse_input};
 mod args;
 mod camera;
 mod eye;
+mod light;
 mod values;
 
 pub(super) use self::args::Args;
@@ -79,7 +80,8 @@ fn inputs(args: &Args) -> Vec<PathBuf> {
     let beside = args.file.with_extension("octree");
     let octree = args.octree.clone().or(args.exact.then_some(beside));
     let table = args.scalar.iter().map(|(file, _)| file.clone());
-    let named = std::iter::once(args.file.clone()).chain(octree).chain(table);
+    let tables = table.chain(args.light.clone());
+    let named = std::iter::once(args.file.clone()).chain(octree).chain(tables);
     named.map(|path| if path.is_dir() { path.join(FILE_NAME) } else { path }).collect()
 }
 
@@ -98,6 +100,9 @@ fn of_octree(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Resul
     };
     if args.octree.is_some() {
         return Err(only_map("--octree"));
+    }
+    if args.light.is_some() {
+        return Err(only_map("--light"));
     }
     if args.visible_from.is_some() {
         return Err(only_map("--visible-from"));
@@ -156,7 +161,13 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
         }
         None => None,
     };
+    let light = light::of(args, view, path)?;
+    let lighting = light.as_ref().map(light::Light::lighting);
     let paint = Paint::new(color_by, seen);
+    let paint = match &lighting {
+        Some(lighting) => paint.lit(lighting),
+        None => paint,
+    };
     let ends = paint.values().map(|values| (values.min, values.max));
     let splats = splats_of(args, view, drawn, paint).map_err(fail)?;
     let mut picture = draw(args, &*splats, &camera, context).map_err(fail)?;
@@ -169,6 +180,9 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
         picture.legend(min, max);
     }
     camera::tell(args, &seen_from, context);
+    if let Some(light) = &light {
+        light.tell(args, context);
+    }
     Ok(picture)
 }
 
@@ -239,7 +253,12 @@ fn draw(
     camera: &Camera,
     context: &Context,
 ) -> Result<Picture, RenderError> {
-    let usual = if splats.is_gray()? { 0.7 } else { 0.3 };
+    let usual = match args.light {
+        // Light is what shades.
+        Some(_) => 0.0,
+        None if splats.is_gray()? => 0.7,
+        None => 0.3,
+    };
     let style = Style {
         background: args.background,
         cull_back: args.cull == Cull::Back,

@@ -5,22 +5,23 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use pvmap::vmap::container::kind_of;
-use pvmap::vmap::{Kind, MapView, OctreeView};
+use pvmap::vmap::{Kind, LightView, MapView, OctreeView};
 use pvmap::{Error, Watch};
 
 use super::{Context, Outcome, map_file};
 
-/// Check every byte of an octree or a map, and every rule of the format
+/// Check every byte of an octree, a map or a light file, and every rule of the format
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 It ends with 0 where all is well, and with 65 and the section and byte of the first damage.
 
 Examples:
   pvmap verify grotto.octree
+  pvmap verify grotto.light
   pvmap verify grotto.vmap && cp grotto.vmap /archive/")]
 pub(super) struct Args {
-    /// A .vmap file or an .octree folder
-    #[arg(value_name = "NAME.vmap|NAME.octree")]
+    /// A .vmap or .light file or an .octree folder
+    #[arg(value_name = "FILE")]
     file: PathBuf,
 }
 
@@ -30,6 +31,10 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let mut tell = |n| progress.advance(n);
     let checked = match kind_of(&bytes) {
         Some(Kind::Octree) => OctreeView::open(&bytes).and_then(|view| {
+            progress.stage("verify", Some(view.verify_bytes()), "bytes");
+            view.verify_telling(&mut tell)
+        }),
+        Some(Kind::Light) => LightView::open(&bytes).and_then(|view| {
             progress.stage("verify", Some(view.verify_bytes()), "bytes");
             view.verify_telling(&mut tell)
         }),

@@ -140,7 +140,8 @@ pub(super) fn warn_of_losses(
     watch: &dyn Watch,
 ) -> Result<(), Error> {
     let warn = |what: String| watch.warn(&format!("{}: {what}", path.display()));
-    if colors(octree, kind).1.contains(&Brightness::Halved) {
+    let is_lit = fields.contains(&PointField::Radiosity);
+    if !is_lit && colors(octree, kind).1.contains(&Brightness::Halved) {
         warn("colours of 16 bits are cut to 8, as PLY has them; a .las or .laz keeps 16".into());
     }
     if let Some(Scaling { low, high }) = Scaling::of(octree, seen, kind) {
@@ -162,7 +163,8 @@ pub(super) fn warn_of_losses(
         // What a source has is not known of those that were taken in by an older version.
         let lacks = |s: &Source| s.columns != 0 && s.columns >> i & 1 == 0 && s.n_stored > 0;
         let lacking = names(octree, lacks)?;
-        if octree.schema().column(column).is_some() && !lacking.is_empty() {
+        let is_kept = octree.schema().column(column).is_some() && !(is_lit && column == "color");
+        if is_kept && !lacking.is_empty() {
             let word = column.replace('_', " ");
             warn(format!("no {word} in {}: it is 0 there", lacking.join(", ")));
         }

@@ -1,5 +1,7 @@
 //! What a map says of a point, by the surfel it belongs to.
 
+use std::sync::Arc;
+
 use pvmap_geometry::PointBatch;
 use pvmap_geometry::normal::Normal;
 use pvmap_query::{Located, Map, Place, QueryError, Snap};
@@ -8,6 +10,8 @@ use pvmap_store::Watch;
 use pvmap_vmap::MapSummary;
 use pvmap_vmap::schema::{ColumnType, Schema};
 
+use super::light::{LitPoints, PointLight};
+use super::output::Kind;
 use super::seen::{Bits, lit_by, seen_from};
 use crate::Error;
 
@@ -33,9 +37,36 @@ pub enum PointField {
     Record,
     /// Which source it is of, from 0.
     Source,
+    /// The light that leaves the point, by a light file: red, green and blue, or one number in grey
+    /// light. The colour of the point becomes it, too.
+    Radiosity,
+    /// The light that arrives at the point, likewise.
+    Irradiance,
+    /// The share of open sky above the point's surfel, by a light file.
+    SkyView,
 }
 
 impl PointField {
+    /// Says whether it needs a light file.
+    pub(super) fn is_of_light(&self) -> bool {
+        self.needs_places() || *self == PointField::SkyView
+    }
+
+    /// Says whether it has light of a point's own place.
+    pub(super) fn needs_places(&self) -> bool {
+        matches!(self, PointField::Radiosity | PointField::Irradiance)
+    }
+
+    /// Says whether it needs the normals of points.
+    pub(super) fn needs_normals(&self) -> bool {
+        self.needs_places() || *self == PointField::Normal
+    }
+
+    /// Gives the word that asks for it, of one of light.
+    pub(super) fn word(&self) -> String {
+        self.title().0.replace('_', "-")
+    }
+
     /// Names it, and says what it is.
     fn title(&self) -> (&'static str, String) {
         let (name, words) = match self {
@@ -51,6 +82,9 @@ impl PointField {
             PointField::Normal => ("normal", "normal in the map"),
             PointField::Record => ("record", "its number in its scan"),
             PointField::Source => ("source", "number of its scan"),
+            PointField::Radiosity => ("radiosity", "light that leaves, flux an area"),
+            PointField::Irradiance => ("irradiance", "light that arrives, flux an area"),
+            PointField::SkyView => ("sky_view", "share of open sky, 0 to 1"),
         };
         (name, words.to_owned())
     }
@@ -60,7 +94,10 @@ impl PointField {
             PointField::VisibleFrom(_) | PointField::Lit(_) | PointField::Level => FieldKind::U8,
             PointField::SeesCount | PointField::Leaf | PointField::Source => FieldKind::U32,
             PointField::Bin => FieldKind::I8,
-            PointField::Normal => FieldKind::F32,
+            PointField::Normal
+            | PointField::Radiosity
+            | PointField::Irradiance
+            | PointField::SkyView => FieldKind::F32,
             PointField::Record => match schema.column("record").map(|c| c.kind) {
                 // Exact to 2^53, far more than there are.
                 Some(ColumnType::U64) => FieldKind::F64,
@@ -70,27 +107,42 @@ impl PointField {
     }
 
     /// Gives the names of its numbers.
-    fn names(&self, schema: &Schema) -> Vec<&'static str> {
+    fn names(&self, schema: &Schema, is_grey: bool) -> Vec<&'static str> {
         match (self, schema.column("normal")) {
             // As scans name theirs, if they have none.
             (PointField::Normal, None) => vec!["nx", "ny", "nz"],
             (PointField::Normal, Some(_)) => vec!["normal_x", "normal_y", "normal_z"],
+            (PointField::Radiosity, _) if !is_grey => {
+                vec!["radiosity_red", "radiosity_green", "radiosity_blue"]
+            }
+            (PointField::Irradiance, _) if !is_grey => {
+                vec!["irradiance_red", "irradiance_green", "irradiance_blue"]
+            }
             _ => vec![self.title().0],
         }
+    }
+
+    /// Counts its numbers.
+    fn n_numbers(&self, is_grey: bool) -> usize {
+        let is_of_three = match self {
+            PointField::Normal => true,
+            _ => self.needs_places() && !is_grey,
+        };
+        if is_of_three { 3 } else { 1 }
     }
 }
 
 /// Names the numbers of fields: those of the second of a kind end in _2, and so on, and so do those
-/// whose names are `taken`, in letters of any case.
+/// whose names are `taken`, in letters of any case. Grey light is one number.
 pub(super) fn columns(
     fields: &[PointField],
-    schema: &Schema,
+    (schema, is_grey): (&Schema, bool),
     taken: &[String],
 ) -> Vec<ScalarField> {
     let mut columns: Vec<ScalarField> = Vec::new();
     for field in fields {
         let (_, description) = field.title();
-        let names = field.names(schema);
+        let names = field.names(schema, is_grey);
         let is_free = |name: &String| {
             !taken.iter().any(|t| t.eq_ignore_ascii_case(name))
                 && !columns.iter().any(|c| c.name == *name)
@@ -116,7 +168,8 @@ pub(super) fn held_bytes(fields: &[PointField], summary: &MapSummary) -> u64 {
     let each = 4 * has(PointField::SeesCount) + has(PointField::Level) + has(PointField::Bin);
     // What is seen is counted by two words a node.
     let counting = 8 * has(PointField::SeesCount) * u64::from(summary.n_nodes);
-    n_places * n.div_ceil(8) + each * n + counting
+    let light = PointLight::held_bytes(fields, summary.n_surfels);
+    n_places * n.div_ceil(8) + each * n + counting + light
 }
 
 /// What answers for the place of a field.
@@ -134,6 +187,8 @@ pub(super) struct Values {
     counts: Vec<u32>,
     levels: Vec<u8>,
     bins: Vec<i8>,
+    /// What gives points their colours, and the first column of the light that does.
+    shown: Option<(Arc<PointLight>, usize)>,
 }
 
 /// A field that is ready, or has its place found.
@@ -146,6 +201,9 @@ enum Value {
     Normal,
     Record,
     Source,
+    Radiosity(Arc<PointLight>),
+    Irradiance(Arc<PointLight>),
+    SkyView(Arc<PointLight>),
 }
 
 /// A field whose place, if it has one, is found.
@@ -156,7 +214,16 @@ enum Found {
 }
 
 impl Found {
-    fn of(field: &PointField, map: &Map<'_>, snap: Snap) -> Result<Found, QueryError> {
+    fn of(
+        field: &PointField,
+        light: Option<&Arc<PointLight>>,
+        (map, snap): (&Map<'_>, Snap),
+    ) -> Result<Found, Error> {
+        // It was read for this field.
+        let of_light = |value: fn(Arc<PointLight>) -> Value| match light {
+            Some(light) => Ok(Found::Other(value(light.clone()))),
+            None => Err(PointLight::lacks(field)),
+        };
         Ok(match *field {
             PointField::VisibleFrom(place) => Found::Eye(map.locate(&place, snap)?),
             PointField::Lit(position) => {
@@ -172,6 +239,9 @@ impl Found {
             PointField::Normal => Found::Other(Value::Normal),
             PointField::Record => Found::Other(Value::Record),
             PointField::Source => Found::Other(Value::Source),
+            PointField::Radiosity => of_light(Value::Radiosity)?,
+            PointField::Irradiance => of_light(Value::Irradiance)?,
+            PointField::SkyView => of_light(Value::SkyView)?,
         })
     }
 
@@ -187,25 +257,24 @@ impl Found {
 
 impl Values {
     /// Finds the places of fields, then asks the map for the values. `columns` are those of the
-    /// fields.
+    /// fields; `light` is there where a field needs it.
     ///
     /// # Errors
     /// Where a place has no surfel, the map is damaged or the run is asked to stop.
     pub(super) fn of(
         (fields, columns): (&[PointField], &[ScalarField]),
-        map: &Map<'_>,
-        snap: Snap,
+        light: Option<Arc<PointLight>>,
+        (map, snap): (&Map<'_>, Snap),
         watch: &dyn Watch,
     ) -> Result<(Values, Vec<PlaceAnswer>), Error> {
-        let found: Result<Vec<_>, _> = fields.iter().map(|f| Found::of(f, map, snap)).collect();
-        let found = found?;
+        let found = fields.iter().map(|f| Found::of(f, light.as_ref(), (map, snap)));
+        let found: Vec<Found> = found.collect::<Result<_, _>>()?;
         let mut answers = Vec::new();
         let mut columns = columns.iter();
+        let is_grey = light.as_ref().is_some_and(|light| light.is_grey());
         for (field, found) in fields.iter().zip(&found) {
             let column = columns.next();
-            // Its second and third number.
-            let n_others = if *field == PointField::Normal { 2 } else { 0 };
-            columns.by_ref().take(n_others).for_each(drop);
+            columns.by_ref().take(field.n_numbers(is_grey) - 1).for_each(drop);
             if let (Some(column), Some(surfel)) = (column, found.answer()) {
                 answers.push(PlaceAnswer { name: column.name.clone(), surfel });
             }
@@ -227,7 +296,10 @@ impl Values {
         let bins = rows(PointField::Bin).map(|s| Ok(view.surfel(s)?.bin));
         let levels = levels.collect::<Result<_, QueryError>>()?;
         let bins = bins.collect::<Result<_, QueryError>>()?;
-        Ok((Values { each, counts, levels, bins }, answers))
+        let shown_at = fields.iter().position(|f| *f == PointField::Radiosity);
+        let n_before = |at: usize| fields[..at].iter().map(|f| f.n_numbers(is_grey)).sum();
+        let shown = light.zip(shown_at.map(n_before));
+        Ok((Values { each, counts, levels, bins, shown }, answers))
     }
 
     /// Gives the values of points, a column a number, by their surfels and normals.
@@ -242,6 +314,7 @@ impl Values {
             let value = |&s: &u32| rows.get(s as usize).copied().map_or(0.0, Into::into);
             surfels.iter().map(value).collect()
         }
+        let points = LitPoints { batch, surfels, normals };
         let mut columns = Vec::new();
         for value in &self.each {
             let column = match value {
@@ -257,15 +330,31 @@ impl Values {
                     columns.extend([0, 1, 2].map(along));
                     continue;
                 }
+                Value::Radiosity(light) => {
+                    columns.extend(light.columns(&light.radiosity(&points)));
+                    continue;
+                }
+                Value::Irradiance(light) => {
+                    columns.extend(light.columns(&light.irradiance(&points)));
+                    continue;
+                }
+                Value::SkyView(light) => by_row(light.sky(), surfels),
             };
             columns.push(column);
         }
         columns
     }
+
+    /// Gives the colours of a file that points have by their columns: those of the light that
+    /// leaves them, where there is such a field.
+    pub(super) fn colors(&self, columns: &[Vec<f64>], kind: Kind) -> Option<Vec<[u16; 3]>> {
+        let (light, at) = self.shown.as_ref()?;
+        Some(light.colors(&columns[*at..], kind))
+    }
 }
 
 /// Gives a normal of length 1, or zero.
-fn unit(normal: &Normal) -> [f64; 3] {
+pub(super) fn unit(normal: &Normal) -> [f64; 3] {
     let n = normal.map(f64::from);
     let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
     if length > 0.0 { n.map(|v| v / length) } else { n }
@@ -288,7 +377,7 @@ mod tests {
             PointField::Lit([0.0; 3]),
         ];
         let schema = Schema::new(&[("position", ColumnType::I32x3), ("record", ColumnType::U32)]);
-        let found = columns(&fields, &schema, &[]);
+        let found = columns(&fields, (&schema, false), &[]);
         let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();
         let expected = [
             "visible_from",
@@ -308,7 +397,7 @@ mod tests {
         // Four places, and the counts with the nodes they are made by.
         assert_eq!(held_bytes(&fields, &summary), 4 * 100 + 3200 + 8800);
         let taken = ["Visible_From", "visible_from_3", "ny"].map(str::to_owned);
-        let found = columns(&fields[2..5], &schema, &taken);
+        let found = columns(&fields[2..5], (&schema, false), &taken);
         let names: Vec<&str> = found.iter().map(|c| c.name.as_str()).collect();
         let expected = ["visible_from_2", "nx_2", "ny_2", "nz_2", "visible_from_4"];
         assert_eq!(names, expected);
@@ -317,7 +406,7 @@ mod tests {
             ("record", ColumnType::U64),
             ("normal", ColumnType::F32x3),
         ]);
-        let found = columns(&[PointField::Normal, PointField::Record], &with_normals, &[]);
+        let found = columns(&[PointField::Normal, PointField::Record], (&with_normals, true), &[]);
         assert_eq!(found[0].name, "normal_x");
         assert_eq!(found[3].kind, FieldKind::F64);
     }

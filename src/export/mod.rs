@@ -5,12 +5,14 @@ mod begin;
 mod columns;
 mod fields;
 mod lattice;
+mod light;
 mod onto;
 mod output;
 mod seen;
 mod surfels;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use pvmap_octree::OctreeError;
 use pvmap_octree::by_source::{BySource, Which, With, temporary_bytes};
@@ -25,6 +27,8 @@ use crate::{Error, Limits, require_pair};
 pub use begin::{Made, begin_file, begin_table};
 use fields::Values;
 pub use fields::{PlaceAnswer, PointField};
+pub use light::ExportLight;
+use light::PointLight;
 use onto::Scan;
 pub use output::PointsFile;
 pub use surfels::{export_surfels, write_surfels};
@@ -47,6 +51,8 @@ pub struct ExportRequest {
     /// The scan file to write again with all that it has, one of those of the octree: its points
     /// alone. Without one all points are written with what the octree has of them.
     pub scan: Option<PathBuf>,
+    /// The light of the map, for fields that show it.
+    pub light: Option<ExportLight>,
 }
 
 /// What an export did.
@@ -108,7 +114,7 @@ pub fn write_points(
 
 fn run(
     request: &ExportRequest,
-    output: PointsFile,
+    mut output: PointsFile,
     (map_bytes, map): (&[u8], &MapView<'_>),
     octree: &OctreeView<'_>,
     limits: &Limits,
@@ -121,11 +127,20 @@ fn run(
     let held_bytes = fields::held_bytes(fields, map.summary());
     memory::require("what the surfels see", held_bytes, limits.memory_bytes / 2)?;
     let memory_bytes = limits.memory_bytes - held_bytes;
-    let with = if fields.contains(&PointField::Normal) { With::Normals } else { With::Numbers };
+    let has_normals = fields.iter().any(PointField::needs_normals);
+    let with = if has_normals { With::Normals } else { With::Numbers };
+    if fields.contains(&PointField::Radiosity) {
+        output.colored_by_light();
+    }
+    let light = PointLight::of(request.light.as_ref(), fields, (&request.map, map), octree)?;
+    let is_grey = light.as_ref().is_some_and(PointLight::is_grey);
+    if let (Some(light), None) = (&light, &request.scan) {
+        light.tell(request, watch);
+    }
     let scan = request.scan.as_deref().map(|path| Scan::open(path, octree, output.kind(), watch));
     let scan = scan.transpose()?;
     let taken = scan.as_ref().map_or(Vec::new(), Scan::names);
-    let names = fields::columns(fields, octree.schema(), &taken);
+    let names = fields::columns(fields, (octree.schema(), is_grey), &taken);
     let coder_bytes = scan.as_ref().map_or(0, |scan| scan.coder_bytes(output.kind(), &names));
     memory::require("such wide records of a LAZ", coder_bytes, memory_bytes / 2)?;
     let memory_bytes = memory_bytes - coder_bytes;
@@ -143,9 +158,9 @@ fn run(
     let (values, places) = {
         // It keeps what it decodes; all that is gone before the points come.
         let map = Map::open_within(map_bytes, memory_bytes / 4);
-        let values = map
-            .map_err(Error::from)
-            .and_then(|map| Values::of((fields, &names), &map, request.snap, watch));
+        let values = map.map_err(Error::from).and_then(|map| {
+            Values::of((fields, &names), light.map(Arc::new), (&map, request.snap), watch)
+        });
         values.map_err(|e| match e {
             Error::Query(e) => Error::of_query(&request.map, e),
             e => e,
@@ -157,9 +172,12 @@ fn run(
     let (n_points, file) = match &scan {
         Some(scan) => scan.write(output, (all, &values), &names, watch)?,
         None => {
+            let kind = output.kind();
             let mut writer = output.start(octree, (fields, &names), all.seen(), watch)?;
             all.each(|batch, tags| {
-                writer.write(batch, values.columns(batch, &tags.numbers, &tags.normals))
+                let columns = values.columns(batch, &tags.numbers, &tags.normals);
+                let colors = values.colors(&columns, kind);
+                writer.write(batch, columns, colors)
             })?;
             (octree.summary().n_points, writer.close()?)
         }

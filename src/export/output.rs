@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use pvmap_geometry::{PointBatch, Positions};
 use pvmap_octree::by_source::{Intensities, Seen};
 use pvmap_scan::{
-    LasContent, LasOptions, LasWriter, PlyColumns, PlyExtras, PlyWriter, ScalarField,
+    ColorRange, LasContent, LasOptions, LasWriter, PlyColumns, PlyExtras, PlyWriter, ScalarField,
 };
 use pvmap_store::{AtomicFile, ClosedFile, StoreError, Watch, memory};
 use pvmap_vmap::schema::ColumnType;
@@ -33,6 +33,8 @@ pub(super) enum Kind {
 pub struct PointsFile {
     file: AtomicFile,
     kind: Kind,
+    /// Whether points have the colours of light and not those of the scans.
+    is_lit: bool,
 }
 
 impl PointsFile {
@@ -54,7 +56,12 @@ impl PointsFile {
             }
         };
         let made = if kind == Kind::Ply { Made::Ply } else { Made::Las };
-        Ok(PointsFile { file: begin_file(path, made, overwrite)?, kind })
+        Ok(PointsFile { file: begin_file(path, made, overwrite)?, kind, is_lit: false })
+    }
+
+    /// Gives points colours of light, whether the scans have colours or not.
+    pub(super) fn colored_by_light(&mut self) {
+        self.is_lit = true;
     }
 
     /// Gives the name it has until it is published.
@@ -164,7 +171,10 @@ impl PointsFile {
         PlyColumns {
             double: octree.schema().columns()[0].kind != ColumnType::F32x3,
             normal: has("normal"),
-            color: columns::colors(octree, self.kind).0,
+            color: match self.is_lit {
+                true => Some(ColorRange::Eight),
+                false => columns::colors(octree, self.kind).0,
+            },
             intensity: has("intensity"),
             classification: has("class"),
             gps_time: has("gps_time"),
@@ -187,7 +197,7 @@ impl PointsFile {
         };
         let was = Scaling::of(octree, seen, self.kind).map(|_| Scaling::field());
         let content = LasContent {
-            color: has("color"),
+            color: self.is_lit || has("color"),
             gps_time: has("gps_time"),
             is_standard_gps_time: columns::is_since_1980(octree, seen),
             crs: columns::crs(octree, self.kind, seen)?,
@@ -221,17 +231,22 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Appends points of one source and the values of their fields.
+    /// Appends points of one source, the values of their fields, and the colours that they have
+    /// instead of their own.
     pub(super) fn write(
         &mut self,
         batch: &PointBatch,
         mut values: Vec<Vec<f64>>,
+        colors: Option<Vec<[u16; 3]>>,
     ) -> Result<(), Error> {
         let source = &self.sources[batch.source as usize];
         let brightness = self.brightness[batch.source as usize];
         let mut batch = batch.clone();
         for channel in batch.color.iter_mut().flatten().flatten() {
             *channel = brightness.of(*channel);
+        }
+        if colors.is_some() {
+            batch.color = colors;
         }
         if let (Some(scaling), Some(intensity)) = (self.scaling, &batch.intensity) {
             let (scaled, was) = scaling.split(intensity);

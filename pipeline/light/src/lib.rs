@@ -5,7 +5,8 @@
 //! [`Kernel`] is the exchange G of two elements, bounded and the same from either end;
 //! [`Exchange`] applies G as a whole, pair by pair (the oracle) or by the fast multipole method
 //! (`fmm`), for which links are just right: under a link the exchange is smooth.
-//! [`Balanced`] scales G so that no element gets more light than there is, [`solve`] finds B.
+//! [`Balanced`] scales G so that no element gets more light than there is, [`solve`] finds B;
+//! [`Irradiance`] gives places between elements theirs.
 //!
 //! The room opens no file, prints nothing and never asks whether two elements see each other: a
 //! pair without a link exchanges nothing. Results have the same bits for any number of threads.
@@ -20,6 +21,7 @@ mod exchange;
 mod fmm;
 mod hierarchy;
 mod incident;
+mod interpolate;
 mod kernel;
 mod lamp;
 mod lighting;
@@ -43,6 +45,7 @@ pub use element::{Element, Elements};
 pub use error::LightError;
 pub use exchange::{Exchange, ExchangeStats, Interaction};
 pub use hierarchy::{Hierarchy, Links, Span, Subtree};
+pub use interpolate::Irradiance;
 pub use kernel::Kernel;
 pub use lamp::{Lamp, Sky};
 pub use lighting::{LightOptions, Lighting, Lit, LitChannel, Planned, Work};

@@ -64,8 +64,24 @@ pub fn srgb(color: [u8; 3]) -> Rgb {
     color.map(|v| LINEAR[usize::from(v)])
 }
 
+/// Linear light of the upper end of every sRGB value of sixteen bits: from there on it is the next.
+static WIDE_ENDS: LazyLock<Vec<f32>> = LazyLock::new(|| {
+    (0..u16::MAX).map(|v| linear_of((f64::from(v) + 0.5) / 65535.0) as f32).collect()
+});
+
+/// Gives the linear light of an sRGB colour of sixteen bits.
+pub fn linear(color: [u16; 3]) -> Rgb {
+    color.map(|v| linear_of(f64::from(v) / 65535.0) as f32)
+}
+
+/// Gives the sRGB colour, of sixteen bits, of linear light.
+pub fn encode_wide(color: Rgb) -> [u16; 3] {
+    // There are 65535 ends; NaN is beyond none of them.
+    color.map(|v| WIDE_ENDS.partition_point(|&end| end <= v) as u16)
+}
+
 /// Gives the sRGB colour of linear light.
-pub(crate) fn encode(color: Rgb) -> [u8; 3] {
+pub fn encode(color: Rgb) -> [u8; 3] {
     // `as` saturates, NaN becomes 0.
     color.map(|v| ENCODED[((v * N_STEPS as f32 + 0.5) as usize).min(N_STEPS)])
 }
@@ -111,6 +127,15 @@ mod tests {
             assert_eq!(encode(srgb([v; 3])), [v; 3]);
         }
         assert_eq!(encode([-1.0, 2.0, f32::NAN]), [0, 255, 0]);
+    }
+
+    #[test]
+    fn every_srgb_value_of_sixteen_bits_survives_linear_light() {
+        for v in 0..=u16::MAX {
+            assert_eq!(encode_wide(linear([v; 3])), [v; 3]);
+        }
+        assert_eq!(encode_wide([-1.0, 2.0, f32::NAN]), [0, u16::MAX, 0]);
+        assert_eq!(encode_wide(srgb([255, 1, 128])), [65535, 257, 128 * 257]);
     }
 
     #[test]

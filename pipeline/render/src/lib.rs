@@ -27,11 +27,11 @@ mod vector;
 
 pub use camera::{Camera, Lens, MAX_SIDE_PX, Size, View};
 pub use canvas::{Style, held_bytes, render};
-pub use color::{BINS, Rgb, VIOLET, gray, ramp, srgb};
+pub use color::{BINS, Rgb, VIOLET, encode, encode_wide, gray, linear, ramp, srgb};
 pub use error::RenderError;
 pub use fit::Side;
 pub use map::MapSplats;
 pub use octree::OctreeSplats;
-pub use paint::{Paint, Seen};
+pub use paint::{ColorOf, Paint, Sample, Seen};
 pub use picture::Picture;
 pub use source::{Clipped, ColorBy, Shape, Source, Splat, Values};

@@ -91,7 +91,8 @@ impl Source for MapSplats<'_> {
             }
             let normal = unit(surfel.normal);
             let scanned = surfel.color.map(|color| color.map(|v| f32::from(v) / 65535.0));
-            let sample = Sample { surfel: Some(id), point: None, scanned, normal, bin: surfel.bin };
+            let (place, bin) = (surfel.centroid, surfel.bin);
+            let sample = Sample { surfel: Some(id), point: None, place, scanned, normal, bin };
             out.push(Splat {
                 centre: surfel.centroid.map(|v| v as f32),
                 normal,

@@ -99,10 +99,11 @@ impl Source for OctreeSplats<'_> {
             let normal = unit(point.key.normal);
             let scanned = self.scanned(point.record);
             let bin = point.key.bin() as i8;
-            let sample = Sample { surfel, point: Some(index), scanned, normal, bin };
+            let place = point.key.g;
+            let sample = Sample { surfel, point: Some(index), place, scanned, normal, bin };
             let color = self.paint.color(&sample);
-            places.push(point.key.g);
-            let centre = point.key.g.map(|v| v as f32);
+            places.push(place);
+            let centre = place.map(|v| v as f32);
             let two_sided = !point.key.oriented;
             let shape = Shape::Round(1.0);
             out.push(Splat { centre, normal, shape, noise: 1.0, two_sided, color });

@@ -1,5 +1,7 @@
 //! What colour a surfel has, and with it the points that belong to it.
 
+use pvmap_geometry::GridPoint;
+
 use crate::color::{Rgb, VIOLET, gray, of_bin, of_normal, ramp, srgb};
 use crate::error::RenderError;
 use crate::source::{ColorBy, Values};
@@ -13,25 +15,32 @@ pub enum Seen<'a> {
     Points(&'a (dyn Fn(u64) -> bool + Sync)),
 }
 
+/// Gives a surfel, or a point of a surfel with that surfel's id, the colour that light gives it.
+pub type ColorOf<'a> = &'a (dyn Fn(u32, &Sample) -> Rgb + Sync);
+
 /// Colours surfels and points.
 #[derive(Clone)]
 pub struct Paint<'a> {
     color_by: ColorBy,
     seen: Option<Seen<'a>>,
+    lighting: Option<ColorOf<'a>>,
 }
 
 /// What is known of a surfel or a point.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Sample {
+pub struct Sample {
     /// The surfel, or that of the point; none where no map says.
-    pub(crate) surfel: Option<u32>,
+    pub surfel: Option<u32>,
     /// The point's place in the order of the octree; none for a surfel.
-    pub(crate) point: Option<u64>,
+    pub point: Option<u64>,
+    /// The point, or the surfel's centroid.
+    pub place: GridPoint,
     /// In linear light; none where it was not recorded.
-    pub(crate) scanned: Option<Rgb>,
+    pub scanned: Option<Rgb>,
     /// Of length 1, or zero.
-    pub(crate) normal: [f32; 3],
-    pub(crate) bin: i8,
+    pub normal: [f32; 3],
+    /// Of the normal, -1…6.
+    pub bin: i8,
 }
 
 impl std::fmt::Debug for Paint<'_> {
@@ -43,7 +52,12 @@ impl std::fmt::Debug for Paint<'_> {
 impl<'a> Paint<'a> {
     /// Colours by something; what is `seen` is violet.
     pub fn new(color_by: ColorBy, seen: Option<Seen<'a>>) -> Paint<'a> {
-        Paint { color_by, seen }
+        Paint { color_by, seen, lighting: None }
+    }
+
+    /// Shows light, whatever it coloured by; what is `seen` is violet still.
+    pub fn lit(self, lighting: ColorOf<'a>) -> Paint<'a> {
+        Paint { lighting: Some(lighting), ..self }
     }
 
     /// Gives the numbers that are coloured, if it is numbers.
@@ -56,12 +70,13 @@ impl<'a> Paint<'a> {
 
     /// Says whether a colour needs the surfel.
     pub(crate) fn needs_surfel(&self) -> bool {
-        matches!(self.seen, Some(Seen::Surfels(_))) || self.values().is_some()
+        let asks_map = self.values().is_some() || self.lighting.is_some();
+        asks_map || matches!(self.seen, Some(Seen::Surfels(_)))
     }
 
     /// Says whether colours are the scan's.
     pub(crate) fn is_of_scan(&self) -> bool {
-        matches!(self.color_by, ColorBy::Rgb)
+        matches!(self.color_by, ColorBy::Rgb) && self.lighting.is_none()
     }
 
     /// Demands a number a surfel where numbers are coloured.
@@ -83,6 +98,9 @@ impl<'a> Paint<'a> {
         };
         if is_seen {
             return srgb(VIOLET);
+        }
+        if let (Some(lighting), Some(surfel)) = (self.lighting, of.surfel) {
+            return lighting(surfel, of);
         }
         let share = |values: &Values| values.share(of.surfel? as usize);
         match &self.color_by {

@@ -4,10 +4,10 @@
 //! sentence. [`container`] is the file around the sections, [`records`] the fixed rows, [`schema`]
 //! the columns of point records, [`tree`] the nodes and surfels with the routing of points to
 //! leaves, [`config`] the keys of a build, [`links`] the codec of sorted pairs in blocks and
-//! [`pairs`] how they are read, [`fraction`] pairs with visible fractions, [`map`], [`octree`] and
-//! [`light`] the views a reader gets of a whole file. The room opens no file and trusts no byte: a view
-//! checks each block when it is first touched, and no input makes it panic, answer wrongly or
-//! allocate what the file does not hold.
+//! [`pairs`] how they are read, [`fraction`] pairs with visible fractions; [`map`], [`octree`] and
+//! [`light`] are the views a reader gets of a whole file. The room opens no file and trusts no
+//! byte: a view checks each block when it is first touched, and no input makes it panic, answer
+//! wrongly or allocate what the file does not hold.
 //!
 //! Start reading at `FORMAT.md`, then [`map::MapView`].
 

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::{AtomicFile, Error, Made, PointField, PointsFile, begin_file, folder_of};
+use pvmap::{AtomicFile, Error, Exposure, Made, PointField, PointsFile, begin_file, folder_of};
 
-use super::{Context, Outcome, refuse_input, threads_parser};
+use super::{Context, Outcome, parse_exposure, refuse_input, threads_parser};
 
 /// Write what a map says onto the points of its scans, or its surfels, nodes and links
 #[derive(Debug, clap::Args)]
@@ -65,6 +65,14 @@ Fields:
                        without one; normal_x, ... where the scans have normals, which are nx, ...
   record               record: which record of its scan the point is, from 0
   source               source: which scan it is of, from 0
+  radiosity            radiosity_red, _green, _blue, or radiosity in grey light: with --light the
+                       light that leaves the point, flux an area in the unit of the lights. Times
+                       --exposure it becomes the point's colour, too; with --scan colours stay.
+                       with auto 95 % of the area that does not shine by itself stay below 0.8 of
+                       white, and what that came to is said
+  irradiance           irradiance_red, ... likewise: the light that arrives at the point
+  sky-view             sky_view: with --light the share of open sky above its surfel, weighted with
+                       the cosine: 1 on an open plain, 0.5 at the foot of a high wall
 A field of a kind that was given before, or of a name that the records of --scan have, is named
 visible_from_2, then visible_from_3, ...
 LAS has fields as extra bytes. PLY has them as properties of a vertex, without --scan behind x y z
@@ -93,6 +101,7 @@ Examples:
   pvmap export grotto.vmap --points seen.laz --field visible-from=1,2,3
   pvmap export grotto.vmap --octree site.octree --points all.ply --field sees-count --field leaf
   pvmap export grotto.vmap --scan grotto.laz --points seen.laz --field visible-from=1,2,3
+  pvmap export grotto.vmap --light grotto.light --points lit.laz --field radiosity
   pvmap export grotto.vmap --surfels discs.ply
   pvmap export grotto.vmap --surfels S.csv --nodes N.csv --links L.csv
   pvmap export grotto.vmap --links - | head")]
@@ -119,6 +128,21 @@ pub(super) struct Args {
         value_parser = points::parse_field
     )]
     fields: Vec<PointField>,
+    /// The light of the map, as pvmap light makes it, for the fields
+    /// radiosity, irradiance and sky-view
+    #[arg(long, requires = "points", value_name = "NAME.light", verbatim_doc_comment)]
+    light: Option<PathBuf>,
+    /// With radiosity: what it is multiplied with to be linear light of
+    /// colours, where 1 is white, or auto
+    #[arg(
+        long,
+        default_value = "auto",
+        requires = "light",
+        value_parser = parse_exposure,
+        value_name = "N",
+        verbatim_doc_comment
+    )]
+    exposure: Exposure,
     /// Replace files of those names whatever they are
     #[arg(long)]
     overwrite: bool,
@@ -173,6 +197,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         inputs.push(octree_of(args).join(FILE_NAME));
     }
     inputs.extend(args.scan.clone());
+    inputs.extend(args.light.clone());
     for (i, output) in outputs.iter().enumerate() {
         refuse_input(output, &inputs)?;
         if outputs[..i].iter().any(|other| same_place(other, output)) {

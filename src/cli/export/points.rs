@@ -6,7 +6,8 @@ use std::process::ExitCode;
 
 use pvmap::query::{Place, Snap};
 use pvmap::{
-    ClosedFile, Error, ExportRequest, Exported, Limits, PlaceAnswer, PointField, PointsFile,
+    ClosedFile, Error, ExportLight, ExportRequest, Exported, Limits, PlaceAnswer, PointField,
+    PointsFile,
 };
 
 use super::super::{Context, mib, parse_point};
@@ -14,7 +15,7 @@ use super::Args;
 use crate::progress::{StageDone, si};
 
 /// The fields without a place.
-const PLAIN: [(&str, PointField); 7] = [
+const PLAIN: [(&str, PointField); 10] = [
     ("sees-count", PointField::SeesCount),
     ("leaf", PointField::Leaf),
     ("level", PointField::Level),
@@ -22,6 +23,9 @@ const PLAIN: [(&str, PointField); 7] = [
     ("normal", PointField::Normal),
     ("record", PointField::Record),
     ("source", PointField::Source),
+    ("radiosity", PointField::Radiosity),
+    ("irradiance", PointField::Irradiance),
+    ("sky-view", PointField::SkyView),
 ];
 
 /// Reads a field as help shows it.
@@ -63,6 +67,7 @@ pub(super) fn run(
         fields: args.fields.clone(),
         snap: args.snap.map_or(Snap::FourHalfSpacings, Snap::Within),
         scan: args.scan.clone(),
+        light: args.light.clone().map(|file| ExportLight { file, exposure: args.exposure }),
     };
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
     pvmap::write_points(&request, output, &limits, &context.progress)

@@ -4,9 +4,10 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use pvmap::Exposure;
 use pvmap::render::{Side, Size};
 
-use crate::cli::{parse_point, threads_parser};
+use crate::cli::{parse_exposure, parse_point, threads_parser};
 
 /// Make a picture of a map or an octree
 #[derive(Debug, clap::Args)]
@@ -23,6 +24,11 @@ what they see of the one nearest to that place: each point of the octree, or wit
 every surfel the one nearest to its middle. That takes a tenth of a millisecond each and knows thin
 limbs from the larger discs that stand for them.
 
+With --light the colours are the radiosity that pvmap light found: of a surfel, or of a point of
+--octree, which has the light of its place and the scan's own colour for a texture. --exposure N
+multiplies it; with auto 95 % of the area that does not shine by itself stay below 0.8 of white, and
+what that came to is said, so that the next picture can have the same.
+
 Colours:
   rgb          the scan's, grey where it has none
   normal       x, y and z of the normal as red, green and blue
@@ -36,6 +42,8 @@ Examples:
   pvmap render grotto.vmap -o grotto.png
   pvmap render grotto.octree --view top --ortho -o plan.png
   pvmap render grotto.vmap --camera 1,2,1.7,4,6,1.5 --fov 60 --size 1280x720 -o inside.png
+  pvmap render grotto.vmap --light grotto.light -o lit.png
+  pvmap render grotto.vmap --octree grotto.octree --light grotto.light --exposure 0.4 -o lit.png
   pvmap render grotto.vmap --visible-from 1.5,2,0.3 -o seen.png
   pvmap render grotto.vmap --octree grotto.octree --visible-from 1.5,2,0.3 --exact -o seen.png")]
 pub(in crate::cli) struct Args {
@@ -116,6 +124,20 @@ pub(in crate::cli) struct Args {
         verbatim_doc_comment
     )]
     pub(super) range: Option<[f32; 2]>,
+    /// Show the light that pvmap light found for this map
+    #[arg(long, conflicts_with = "color_by", value_name = "NAME.light")]
+    pub(super) light: Option<PathBuf>,
+    /// With --light: what radiosity is multiplied with to be linear light
+    /// of the picture, where 1 is white, or auto
+    #[arg(
+        long,
+        default_value = "auto",
+        requires = "light",
+        value_parser = parse_exposure,
+        value_name = "N",
+        verbatim_doc_comment
+    )]
+    pub(super) exposure: Exposure,
     /// Only what lies between two corners: x,y,z,x,y,z
     #[arg(long, value_parser = parse_six, allow_hyphen_values = true, value_name = "CORNERS")]
     pub(super) clip: Option<[[f64; 3]; 2]>,
@@ -156,7 +178,7 @@ pub(in crate::cli) struct Args {
     )]
     pub(super) cull: Cull,
     /// A lamp at the camera: how much darker is what it grazes, 0 to 1
-    /// [default: 0.7 where surfaces are grey, else 0.3]
+    /// [default: 0.7 where surfaces are grey, 0 with --light, else 0.3]
     #[arg(long, value_parser = parse_share, value_name = "SHARE", verbatim_doc_comment)]
     pub(super) shade: Option<f32>,
     /// Patches and discs so many times as large
