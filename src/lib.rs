@@ -46,6 +46,7 @@ mod error;
 mod export;
 mod ingest;
 mod light_file;
+mod light_map;
 pub mod lights;
 mod limits;
 mod lit;
@@ -66,6 +67,7 @@ pub use export::{
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use light_file::{LightChannel, LightContent, write_light};
+pub use light_map::{LightDone, LightReport, LightRequest, light_map};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use lit::{Exposure, LitMap, require_light};
 pub use pairing::require_pair;

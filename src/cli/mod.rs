@@ -8,6 +8,7 @@ mod exact;
 mod export;
 mod info;
 mod ingest;
+mod light;
 mod query;
 mod render;
 mod scene;
@@ -75,6 +76,7 @@ enum Command {
     Ingest(ingest::Args),
     Build(build::Args),
     Query(query::Args),
+    Light(light::Args),
     Render(render::Args),
     Info(info::Args),
     Verify(verify::Args),
@@ -151,6 +153,7 @@ fn run(command: Command, context: &Context) -> Outcome {
         Command::Ingest(args) => ingest::run(&args, context),
         Command::Build(args) => build::run(&args, context),
         Command::Query(args) => query::run(&args, context),
+        Command::Light(args) => light::run(&args, context),
         Command::Render(args) => render::run(&args, context),
         Command::Info(args) => info::run(&args, context),
         Command::Verify(args) => verify::run(&args, context),

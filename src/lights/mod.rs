@@ -16,7 +16,7 @@ pub use crate::classes::majority_classes;
 use crate::config::read_text;
 use crate::{Error, lights::table::Fault};
 pub use assign::Assigned;
-use rules::{Rules, Selection};
+use rules::{Albedo, Rules, Selection};
 
 /// A `lights.toml` with all that one may hold, and what it means.
 pub const EXAMPLE: &str = include_str!("example.toml");
@@ -81,6 +81,14 @@ impl Lights {
     /// left to a default. Read again it is equal.
     pub fn to_text(&self) -> String {
         self.rules.to_text()
+    }
+
+    /// Gives the exposure by which the scan's colours count; 1 where they do not.
+    pub fn exposure(&self) -> f64 {
+        match self.rules.albedo {
+            Albedo::Scan { exposure, .. } => exposure,
+            _ => 1.0,
+        }
     }
 
     /// Says whether a rule selects by class, which a map does not have: [`majority_classes`] does.

@@ -142,7 +142,12 @@ pub fn random_cloud(rng: &mut Rng) -> Cloud {
 /// Takes points of the furnished room, with normals and colours, on a lattice of a tenth of a
 /// millimetre.
 pub fn room_cloud(n: u64) -> Cloud {
-    let scene = Scene::new(SceneKind::Furnished, 1);
+    scene_cloud(SceneKind::Furnished, n)
+}
+
+/// Points of a generated scene, seed 1, on a lattice of a tenth of a millimetre.
+pub fn scene_cloud(kind: SceneKind, n: u64) -> Cloud {
+    let scene = Scene::new(kind, 1);
     let samples: Vec<_> = (0..n).map(|i| scene.points(n).at(i)).collect();
     let steps = |p: [f64; 3]| p.map(|c| (c / 0.0001).round() as i32);
     Cloud {

@@ -1,0 +1,188 @@
+//! From a map and what shines to its light file: joins the lights of `lights.toml` to the room
+//! `light`.
+
+use std::path::{Path, PathBuf};
+
+use pvmap_light::{Elements, LightError, LightOptions, Lighting, Lit, Plan, Work};
+use pvmap_query::Map;
+use pvmap_store::{Mapped, StoreError, Watch};
+use pvmap_vmap::{LightSummary, LightView, MapView};
+
+use crate::build::open_octree;
+use crate::lights::{Assigned, Lights, majority_classes};
+use crate::{Error, LightChannel, LightContent, Limits, write_light};
+
+/// What is to be lit, and where its light goes.
+#[derive(Debug, Clone)]
+pub struct LightRequest {
+    /// The map.
+    pub map: PathBuf,
+    /// The octree it was built from: rules by class look at its points.
+    pub octree: Option<PathBuf>,
+    /// What shines and what reflects.
+    pub lights: PathBuf,
+    /// The light file to make; none stops at the plan.
+    pub output: Option<PathBuf>,
+    /// A light file of the same map whose scaling is taken over.
+    pub scale_of: Option<PathBuf>,
+    /// How well.
+    pub options: LightOptions,
+}
+
+/// What was planned and done.
+#[derive(Debug, Clone)]
+pub struct LightReport {
+    /// The decisions.
+    pub plan: Plan,
+    /// What was noticed in the lights.
+    pub notes: Vec<String>,
+    /// Surfels.
+    pub n_surfels: u32,
+    /// Surfels without a normal, which take no part.
+    pub n_without_normal: usize,
+    /// What was computed, unless it stopped at the plan.
+    pub done: Option<LightDone>,
+}
+
+/// What was computed.
+#[derive(Debug, Clone)]
+pub struct LightDone {
+    /// As it stands in the file.
+    pub summary: LightSummary,
+    /// What was touched.
+    pub work: Work,
+    /// Bytes of the file.
+    pub output_bytes: u64,
+}
+
+/// Lights a map and writes the light of every surfel. The same map and lights give the same bytes
+/// for any number of threads.
+///
+/// # Errors
+/// Where the map or the lights cannot be read, do not fit each other or the memory, the light has
+/// no finite solution, the file cannot be written or the run is asked to stop.
+pub fn light_map(
+    request: &LightRequest,
+    limits: &Limits,
+    watch: &dyn Watch,
+) -> Result<LightReport, Error> {
+    limits.run(|| run(request, limits, watch))?
+}
+
+fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<LightReport, Error> {
+    let lights = Lights::read(&request.lights)?;
+    let bytes = Mapped::open(&request.map)?;
+    let map = Map::open(&bytes).map_err(|e| Error::of_query(&request.map, e))?.solid();
+    let fail = |e| of_light(&request.map, e);
+    let elements = Elements::of_map(map.view()).map_err(fail)?;
+    let scale = request.scale_of.as_deref().map(|path| scale_of(path, request, map.view()));
+    let scale = scale.transpose()?;
+    let n_without_normal = elements.n_without_normal();
+    let classes = classes_of(request, &lights, map.view(), watch)?;
+    let Assigned { materials, lamps, sky, notes } =
+        lights.assign(map.view(), &elements, classes.as_deref())?;
+    let options = LightOptions { memory_bytes: limits.memory_bytes, ..request.options.clone() };
+    let scene = Lighting::new(&map, elements, materials, lamps, sky, options).map_err(fail)?;
+    let planned = scene.plan(watch).map_err(fail)?;
+    let n_surfels = map.view().summary().n_surfels;
+    let mut report =
+        LightReport { plan: planned.plan.clone(), notes, n_surfels, n_without_normal, done: None };
+    if let Some(output) = &request.output {
+        let lit = scene.run(&planned, scale, watch).map_err(fail)?;
+        let text = (lights.to_text(), planned.plan.to_string());
+        report.done = Some(write(output, &text, (request, map.view(), &lights), &lit, watch)?);
+    }
+    Ok(report)
+}
+
+/// Gives the classes of surfels, where a rule asks for them.
+fn classes_of(
+    request: &LightRequest,
+    lights: &Lights,
+    map: &MapView<'_>,
+    watch: &dyn Watch,
+) -> Result<Option<Vec<u8>>, Error> {
+    if !lights.needs_classes() {
+        return Ok(None);
+    }
+    let Some(path) = &request.octree else {
+        return Err(Error::Usage(format!(
+            "{}: a rule by class needs the points; give --octree NAME.octree",
+            request.lights.display()
+        )));
+    };
+    let bytes = open_octree(path)?;
+    majority_classes(map, &request.map, &bytes, path, watch).map(Some)
+}
+
+/// Reads the scaling of a light file of the same map.
+fn scale_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<Vec<f64>, Error> {
+    let bytes = Mapped::open(path)?;
+    let damaged = |e| Error::artifact(path, e);
+    let view = LightView::open(&bytes).map_err(damaged)?;
+    if view.summary().map != map.file().root() {
+        return Err(Error::Data(format!(
+            "{}: the light of another map than {}; leave --scale-of out",
+            path.display(),
+            request.map.display()
+        )));
+    }
+    (0..view.summary().n_surfels).map(|id| view.scale(id).map_err(damaged)).collect()
+}
+
+fn write(
+    output: &Path,
+    (lights_text, plan_text): &(String, String),
+    (request, map, lights): (&LightRequest, &MapView<'_>, &Lights),
+    lit: &Lit,
+    watch: &dyn Watch,
+) -> Result<LightDone, Error> {
+    let mut summary = LightSummary {
+        map: map.file().root(),
+        n_surfels: map.summary().n_surfels,
+        n_channels: lit.channels.len() as u32,
+        order: lit.order.unwrap_or(0) as u32,
+        iterations: lit.work.n_iterations as u32,
+        error_target: request.options.error,
+        operator_error: lit.operator_error,
+        row_error: lit.row_error,
+        residual: lit.residual,
+        exposure: lights.exposure(),
+        balance: Default::default(),
+    };
+    for (to, channel) in summary.balance.iter_mut().zip(&lit.channels) {
+        let from = &channel.balance;
+        *to = [from.emitted, from.absorbed, from.escaped, from.clipped];
+    }
+    let channel = |index: usize| {
+        let channel = &lit.channels[index];
+        LightChannel {
+            emission: &channel.given.emission,
+            albedo: &channel.given.albedo,
+            irradiance: &channel.irradiance,
+        }
+    };
+    let channels: Vec<LightChannel<'_>> = (0..lit.channels.len()).map(channel).collect();
+    let sky: Vec<f64> = lit.open_sky.iter().map(|&share| f64::from(share)).collect();
+    let content = LightContent {
+        summary,
+        lights: lights_text,
+        plan: plan_text,
+        channels: &channels,
+        sky: (!sky.is_empty()).then_some(&sky[..]),
+        scale: &lit.scale,
+    };
+    let output_bytes = write_light(output, &content, watch)?;
+    Ok(LightDone { summary, work: lit.work, output_bytes })
+}
+
+/// Says which map an error is about, where the map is to blame.
+fn of_light(map: &Path, e: LightError) -> Error {
+    match e {
+        LightError::Format(e) => Error::artifact(map, e),
+        LightError::Query(e) => Error::of_query(map, e),
+        LightError::Stopped => StoreError::Interrupted.into(),
+        e @ LightError::Memory { .. } => Error::Config(e.to_string()),
+        e => Error::Data(format!("{}: {e}", map.display())),
+    }
+}
