@@ -12,7 +12,7 @@ use crate::Error;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Exposure {
     /// Such that of the area that reflects light, but does not shine by itself, 95 % stay below
-    /// [`AUTO_LEVEL`].
+    /// 0.8 of white.
     Auto,
     /// Radiosity is multiplied with this number, above 0.
     Times(f64),
