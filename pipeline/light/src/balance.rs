@@ -6,6 +6,7 @@ use crate::error::{LightError, check};
 use crate::exchange::Exchange;
 use crate::material::check_each;
 use crate::solve::Operator;
+use crate::sum::sum;
 
 /// What surrounds the elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,29 +43,53 @@ impl<'a> Balanced<'a> {
         tolerance: f64,
         max_iterations: usize,
     ) -> Result<Balanced<'a>, LightError> {
-        Balanced::watched(exchange, scene, (tolerance, max_iterations), &Quiet)
+        if !(0.0..f64::INFINITY).contains(&tolerance) {
+            let (what, range) = ("the tolerance of rows", "0 or more");
+            return Err(LightError::Setting { what, value: tolerance, range });
+        }
+        let areas = exchange.elements().areas();
+        let is_enough = |rows: &[f64]| row_error(scene, areas, rows) <= tolerance;
+        Balanced::until(exchange, scene, max_iterations, &Quiet, &is_enough)
     }
 
-    /// Does what [`Balanced::new`] does, told of and stopped between two rounds.
-    pub(crate) fn watched(
+    /// Scales until rows are off by no more than `tolerance` of all area on average, or
+    /// `max_iterations` times, and then down what is still too large: some rows of narrow corners
+    /// take hundreds of rounds, and light must not grow there meanwhile.
+    pub(crate) fn on_average(
         exchange: &'a Exchange,
         scene: Scene,
         (tolerance, max_iterations): (f64, usize),
         watch: &dyn Watch,
     ) -> Result<Balanced<'a>, LightError> {
-        if !(0.0..f64::INFINITY).contains(&tolerance) {
-            let (what, range) = ("the tolerance of rows", "0 or more");
-            return Err(LightError::Setting { what, value: tolerance, range });
+        let areas = exchange.elements().areas();
+        let is_enough = |rows: &[f64]| mean_error(scene, areas, rows) <= tolerance;
+        let mut balanced = Balanced::until(exchange, scene, max_iterations, watch, &is_enough)?;
+        for (d, (sum, area)) in balanced.scale.iter_mut().zip(balanced.row_sums.iter().zip(areas)) {
+            // The others can only get less, too, so that no row is too large then.
+            *d *= if sum > area { area / sum } else { 1.0 };
         }
+        balanced.row_sums = row_sums(exchange, &balanced.scale)?;
+        balanced.row_error = mean_error(scene, areas, &balanced.row_sums);
+        balanced.iterations += 1;
+        Ok(balanced)
+    }
+
+    fn until(
+        exchange: &'a Exchange,
+        scene: Scene,
+        max_iterations: usize,
+        watch: &dyn Watch,
+        is_enough: &dyn Fn(&[f64]) -> bool,
+    ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
         let mut scale = vec![1.0; areas.len()];
         let mut iterations = 0;
         loop {
             check(watch)?;
             let row_sums = row_sums(exchange, &scale)?;
-            let row_error = row_error(scene, areas, &row_sums);
             watch.advance(1);
-            if row_error <= tolerance || iterations == max_iterations {
+            if is_enough(&row_sums) || iterations == max_iterations {
+                let row_error = row_error(scene, areas, &row_sums);
                 return Ok(Balanced { exchange, scale, row_sums, row_error, iterations });
             }
             for ((d, &sum), &area) in scale.iter_mut().zip(&row_sums).zip(areas) {
@@ -122,6 +147,17 @@ fn row_sums(exchange: &Exchange, scale: &[f64]) -> Result<Vec<f64>, LightError> 
     Ok(scale.iter().zip(exchange.apply(scale)?).map(|(d, sum)| d * sum).collect())
 }
 
+/// Gives by how much rows are off, as a share of all area; in an open scene, too large.
+fn mean_error(scene: Scene, areas: &[f64], row_sums: &[f64]) -> f64 {
+    let rows = || areas.iter().zip(row_sums).filter(|(_, sum)| **sum != 0.0);
+    let off = rows().map(|(area, sum)| match scene {
+        Scene::Closed => (sum - area).abs(),
+        Scene::Open => (sum - area).max(0.0),
+    });
+    let all = sum(rows().map(|(area, _)| *area));
+    if all > 0.0 { sum(off) / all } else { 0.0 }
+}
+
 /// Gives the share of its area by which a row is off at the most; in an open scene, too large.
 fn row_error(scene: Scene, areas: &[f64], row_sums: &[f64]) -> f64 {
     let off = areas.iter().zip(row_sums).filter(|(_, sum)| **sum != 0.0).map(|(area, sum)| {
@@ -149,7 +185,8 @@ impl Operator for Balanced<'_> {
     }
 
     fn row_error(&self) -> f64 {
-        self.row_error
+        // What they fall short does not make light grow.
+        row_error(Scene::Open, self.exchange.elements().areas(), &self.row_sums)
     }
 }
 

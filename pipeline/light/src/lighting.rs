@@ -307,7 +307,7 @@ impl<'a> Lighting<'a> {
             Some(scale) => Balanced::with_scale(exchange, scene, scale)?,
             None => {
                 let tolerance = self.operator_tolerance();
-                Balanced::watched(exchange, scene, (tolerance, MAX_SCALINGS), watch)?
+                Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?
             }
         };
         lit.scale = balanced.scale().to_vec();

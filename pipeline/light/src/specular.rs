@@ -269,7 +269,7 @@ impl Specular<'_> {
         let mut place = somewhere_on(&self.elements.get(id as usize), rng);
         let mut direction = match from {
             From::Element(j) => sub(place, somewhere_on(&self.elements.get(j as usize), rng)),
-            From::Lamp(lamp) => self.from_lamp(&shining.lamps[lamp], place, rng),
+            From::Lamp(lamp) => self.along_lamp(&shining.lamps[lamp], place, rng),
         };
         let mut carried = carried;
         for _ in 0..MAX_DEPTH {
@@ -326,7 +326,7 @@ impl Specular<'_> {
     }
 
     /// Gives the direction in which light of a lamp arrives at a place.
-    fn from_lamp(&self, lamp: &Lamp, place: [f64; 3], rng: &mut Rng) -> [f64; 3] {
+    fn along_lamp(&self, lamp: &Lamp, place: [f64; 3], rng: &mut Rng) -> [f64; 3] {
         let origin = Air::new(self.map, self.elements).origin();
         let from = |there: [f64; 3]| sub(place, sub(there, origin));
         match *lamp {
