@@ -314,21 +314,23 @@ fn glows_shine_where_their_selection_says() {
 #[test]
 fn of_equally_near_surfels_the_first_is_taken() {
     let folder = tempfile::tempdir().unwrap();
-    let rows =
-        "0 0 0 0 0 1 9 9 9 1\n0 4 0 0 0 1 9 9 9 1\n4 0 0 0 0 1 9 9 9 1\n4 4 0 0 0 1 9 9 9 1\n";
+    let rows = "0 4 0 0 0 1 9 9 9 1\n4 0 0 0 0 1 9 9 9 1\n\
+                4 4 0 0 0 1 9 9 9 1\n";
     let (bytes, octree) = scan(folder.path(), &rows.repeat(2), NormalsFrom::Auto, 4);
     let hall = Hall { classes: classes(&bytes, &octree), bytes };
-    assert_eq!(hall.lit_by("box = [0, 0, 0, 4, 4, 0]"), [true; 4]);
-    // Beyond what the grid tells apart, all four are as far.
-    assert_eq!(hall.lit_by("near = [0, 0, 1e300]"), [true, false, false, false]);
-    assert_eq!(hall.lit_by("near = [4, 4, 0]"), [false, false, false, true]);
+    assert_eq!(hall.lit_by("box = [0, 0, 0, 4, 4, 0]"), [true; 3]);
+    // In Morton order (4, 0) comes before (0, 4), and both before (4, 4).
+    assert_eq!(hall.lit_by("near = [0, 0, -7]"), [true, false, false]);
+    assert_eq!(hall.lit_by("near = [-1, 0, 0]"), [false, true, false]);
+    assert_eq!(hall.lit_by("near = [1e300, 1e300, 0]"), [false, false, true]);
 }
 
 #[test]
 fn flux_is_spread_over_areas_and_light_adds_up() {
     let hall = Hall::new();
     let elements = Elements::of_map(&hall.map()).unwrap();
-    let text = "albedo.from = 0.5\n[[glow]]\nclass = 6\nflux = [100, 50, 0]\n[[glow]]\nclass = 6\nexitance = 3\n";
+    let text = "albedo.from = 0.5\n[[glow]]\nclass = 6\nflux = [100, 50, 0]\n\
+                [[glow]]\nclass = 6\nexitance = 3\n";
     let assigned = hall.assign(text).unwrap();
     let area: f64 =
         (0..elements.len()).filter(|&i| hall.classes[i] == 6).map(|i| elements.areas()[i]).sum();

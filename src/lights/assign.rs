@@ -8,7 +8,7 @@ use pvmap_vmap::{MapView, Surfel};
 
 use super::parse::SHARE_TOLERANCE;
 use super::rules::{Albedo, Glow, LampRule, Material, Power, Rgb, Selection, Sun, Vector, unit};
-use super::{Lights, Spot};
+use super::{Lights, Mark};
 use crate::Error;
 
 /// What lights a scan, surfel by surfel.
@@ -114,11 +114,11 @@ impl Lights {
         notes: &mut Vec<String>,
     ) -> Result<Vec<Rgb>, Error> {
         let mut emission = vec![[0.0; 3]; surfels.all.len()];
-        for (i, (Glow { on, power }, spot)) in
+        for (i, (Glow { on, power }, mark)) in
             self.rules.glows.iter().zip(&self.glows_at).enumerate()
         {
-            let refuse = |what: String| Err(Error::Config(format!("{}{what}", spot.prefix)));
-            let selected = surfels.selected(on, spot)?;
+            let refuse = |what: String| Err(Error::Config(format!("{}{what}", mark.prefix)));
+            let selected = surfels.selected(on, mark)?;
             if selected.is_empty() {
                 let there = surfels.what_there_is(on);
                 return refuse(format!("glow {} selects no surfel; {there}", i + 1));
@@ -131,7 +131,7 @@ impl Lights {
                 return refuse(format!("{what}, so none can shine; select others"));
             }
             if n_dark > 0 {
-                let (line, what) = (spot.line, "surfels have no normal and do not shine");
+                let (line, what) = (mark.line, "surfels have no normal and do not shine");
                 notes.push(format!("glow {} (line {line}): {n_dark} of {n} {what}", i + 1));
             }
             let area: f64 = shining.iter().map(|&id| elements.areas()[id]).sum();
@@ -155,10 +155,10 @@ impl Lights {
         let of_scan = surfels.all.iter().map(|surfel| base_albedo(&self.rules.albedo, surfel));
         let (albedo, origin): (Vec<Rgb>, Vec<Origin>) = of_scan.unzip();
         let mut made = Made { gloss: vec![[0.0; 3]; albedo.len()], albedo, origin };
-        for (i, (rule, spot)) in self.rules.materials.iter().zip(&self.materials_at).enumerate() {
-            let selected = surfels.selected(&rule.on, spot)?;
+        for (i, (rule, mark)) in self.rules.materials.iter().zip(&self.materials_at).enumerate() {
+            let selected = surfels.selected(&rule.on, mark)?;
             if selected.is_empty() {
-                notes.push(format!("material {} (line {}) selects no surfel", i + 1, spot.line));
+                notes.push(format!("material {} (line {}) selects no surfel", i + 1, mark.line));
             }
             for id in selected {
                 made.lay(id, rule);
@@ -168,7 +168,7 @@ impl Lights {
                     return Err(Error::Config(format!(
                         "{}material {} over those before it: specular + transmissive is {sum} at \
                          surfel {id}: it must be at most 1",
-                        spot.prefix,
+                        mark.prefix,
                         i + 1
                     )));
                 }
@@ -258,7 +258,7 @@ fn light_of(lamp: &Lamp) -> Rgb {
 
 impl Surfels<'_> {
     /// Lists what a rule selects, rising.
-    fn selected(&self, on: &Selection, spot: &Spot) -> Result<Vec<usize>, Error> {
+    fn selected(&self, on: &Selection, mark: &Mark) -> Result<Vec<usize>, Error> {
         Ok(match *on {
             Selection::All => self.holding(|_| true),
             Selection::Box(low, high) => {
@@ -285,7 +285,7 @@ impl Surfels<'_> {
             Selection::Class(class) => {
                 let Some(classes) = self.classes else {
                     let what = "a map has no classes; give the octree it was built from";
-                    return Err(Error::Usage(format!("{}{what}", spot.prefix)));
+                    return Err(Error::Usage(format!("{}{what}", mark.prefix)));
                 };
                 (0..classes.len()).filter(|&id| classes[id] == class).collect()
             }

@@ -25,13 +25,13 @@ pub const EXAMPLE: &str = include_str!("example.toml");
 #[derive(Debug, Clone)]
 pub struct Lights {
     rules: Rules,
-    glows_at: Vec<Spot>,
-    materials_at: Vec<Spot>,
+    glows_at: Vec<Mark>,
+    materials_at: Vec<Mark>,
 }
 
 /// Where a rule stands.
 #[derive(Debug, Clone)]
-struct Spot {
+struct Mark {
     line: usize,
     /// For messages: `lights.toml:12:1: `, or `12:1: ` of a text without a name.
     prefix: String,
@@ -61,18 +61,18 @@ impl Lights {
     }
 
     fn named(name: &str, text: &str) -> Result<Lights, Error> {
-        let spot = |at: usize| {
+        let mark = |at: usize| {
             let before = text.get(..at).unwrap_or(text);
             let line = before.matches('\n').count() + 1;
             let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
-            Spot { line, prefix: format!("{name}{line}:{column}: ") }
+            Mark { line, prefix: format!("{name}{line}:{column}: ") }
         };
         let parsed = parse::parse(text)
-            .map_err(|Fault { at, what }| Error::Config(format!("{}{what}", spot(at).prefix)))?;
-        let spots = |all: &[usize]| all.iter().map(|&at| spot(at)).collect();
+            .map_err(|Fault { at, what }| Error::Config(format!("{}{what}", mark(at).prefix)))?;
+        let marks = |all: &[usize]| all.iter().map(|&at| mark(at)).collect();
         Ok(Lights {
-            glows_at: spots(&parsed.glows_at),
-            materials_at: spots(&parsed.materials_at),
+            glows_at: marks(&parsed.glows_at),
+            materials_at: marks(&parsed.materials_at),
             rules: parsed.rules,
         })
     }

@@ -24,6 +24,9 @@ pub(super) struct Parsed {
     pub(super) materials_at: Vec<usize>,
 }
 
+/// Reads the table of a lamp.
+type ReadLamp = fn(&Table<'_>) -> Result<LampRule, Fault>;
+
 /// Reads and checks a text.
 pub(super) fn parse(text: &str) -> Result<Parsed, Fault> {
     let document = DeTable::parse(text).map_err(|e| Fault {
@@ -36,12 +39,12 @@ pub(super) fn parse(text: &str) -> Result<Parsed, Fault> {
     let shares = ["albedo", "specular", "transmissive", "refraction"];
     let materials = tables(&all, "material", &with_selection(&shares))?;
     let mut lamps = Vec::new();
-    let keys: [(&str, &[&str], fn(&Table<'_>) -> Result<LampRule, Fault>); 3] = [
+    let kinds: [(&str, &[&str], ReadLamp); 3] = [
         ("point", &["position", "flux", "intensity"], point),
         ("spot", &["position", "direction", "target", "angle", "flux", "intensity"], spot),
         ("area", &["corner", "sides", "flux", "exitance"], area),
     ];
-    for (kind, known, read) in keys {
+    for (kind, known, read) in kinds {
         for table in tables(&all, kind, known)? {
             lamps.push(checked(&table, read(&table)?)?);
         }
