@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use pvmap_light::{Elements, LightError, LightOptions, Lighting, Lit, Plan, Work};
+use pvmap_light::{Elements, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work};
 use pvmap_query::Map;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::{LightSummary, LightView, MapView};
@@ -75,8 +75,8 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&request.map, e))?.solid();
     let fail = |e| of_light(&request.map, e);
     let elements = Elements::of_map(map.view()).map_err(fail)?;
-    let scale = request.scale_of.as_deref().map(|path| scale_of(path, request, map.view()));
-    let scale = scale.transpose()?;
+    let scaling = request.scale_of.as_deref().map(|path| scaling_of(path, request, map.view()));
+    let scaling = scaling.transpose()?;
     let n_without_normal = elements.n_without_normal();
     let classes = classes_of(request, &lights, map.view(), watch)?;
     let Assigned { materials, lamps, sky, notes } =
@@ -88,7 +88,7 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let mut report =
         LightReport { plan: planned.plan.clone(), notes, n_surfels, n_without_normal, done: None };
     if let Some(output) = &request.output {
-        let lit = scene.run(&planned, scale, watch).map_err(fail)?;
+        let lit = scene.run(&planned, scaling, watch).map_err(fail)?;
         let text = (lights.to_text(), planned.plan.to_string());
         report.done = Some(write(output, &text, (request, map.view(), &lights), &lit, watch)?);
     }
@@ -116,7 +116,7 @@ fn classes_of(
 }
 
 /// Reads the scaling of a light file of the same map.
-fn scale_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<Vec<f64>, Error> {
+fn scaling_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<Scaling, Error> {
     let bytes = Mapped::open(path)?;
     let damaged = |e| Error::artifact(path, e);
     let view = LightView::open(&bytes).map_err(damaged)?;
@@ -127,7 +127,8 @@ fn scale_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<Ve
             request.map.display()
         )));
     }
-    (0..view.summary().n_surfels).map(|id| view.scale(id).map_err(damaged)).collect()
+    let rows = (0..view.summary().n_surfels).map(|id| view.scale(id).map_err(damaged));
+    Ok(Scaling { scale: rows.collect::<Result<_, _>>()?, row_error: view.summary().row_error })
 }
 
 fn write(

@@ -4,7 +4,7 @@
 
 use std::time::Instant;
 
-use pvmap_light::{Channel, Elements, LightOptions, Lighting, Materials};
+use pvmap_light::{Channel, Elements, LightOptions, Lighting, Materials, Scaling};
 use pvmap_query::Map;
 use pvmap_store::Quiet;
 
@@ -39,6 +39,8 @@ fn main() {
     );
     println!("{:?}, {:.2} s", lit.channels[0].balance, start.elapsed().as_secs_f64());
     let again = Instant::now();
-    let relit = scene.run(&planned, Some(lit.scale.clone()), &Quiet).unwrap();
+    let relit = scene
+        .run(&planned, Some(Scaling { scale: lit.scale.clone(), row_error: lit.row_error }), &Quiet)
+        .unwrap();
     println!("again in {:.2} s: {}", again.elapsed().as_secs_f64(), relit.channels == lit.channels);
 }

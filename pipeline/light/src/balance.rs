@@ -25,9 +25,19 @@ pub enum Scene {
 pub struct Balanced<'a> {
     exchange: &'a Exchange,
     scale: Vec<f64>,
+    /// Σ_j G'_ij, or what that is at the most.
     row_sums: Vec<f64>,
     row_error: f64,
     iterations: usize,
+}
+
+/// A scaling of an exchange, kept from one run to the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scaling {
+    /// D, a number above 0 each element.
+    pub scale: Vec<f64>,
+    /// By how much rows are off with it, as a share of all area.
+    pub row_error: f64,
 }
 
 impl<'a> Balanced<'a> {
@@ -100,30 +110,23 @@ impl<'a> Balanced<'a> {
         }
     }
 
-    /// Takes a scaling that was found before.
+    /// Takes a scaling that was found before by which no row is too large; what they fall short is
+    /// as it was then.
     ///
     /// # Errors
     /// Where there is not a number above 0 an element.
-    pub fn with_scale(
+    pub(crate) fn again(
         exchange: &'a Exchange,
-        scene: Scene,
-        scale: Vec<f64>,
+        Scaling { scale, row_error }: Scaling,
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
         check_each(areas.len(), "the scale", "above 0", &scale, |d| d > 0.0 && d.is_finite())?;
-        let row_sums = row_sums(exchange, &scale)?;
-        let row_error = row_error(scene, areas, &row_sums);
-        Ok(Balanced { exchange, scale, row_sums, row_error, iterations: 0 })
+        Ok(Balanced { exchange, scale, row_sums: areas.to_vec(), row_error, iterations: 0 })
     }
 
     /// Gives what is scaled.
     pub(crate) fn exchange(&self) -> &Exchange {
         self.exchange
-    }
-
-    /// Gives Σ_j G'_ij of each element.
-    pub(crate) fn rows(&self) -> &[f64] {
-        &self.row_sums
     }
 
     /// Gives the share of its area by which a row is off at the most.
@@ -134,6 +137,14 @@ impl<'a> Balanced<'a> {
     /// Counts how often rows were scaled.
     pub fn iterations(&self) -> usize {
         self.iterations
+    }
+
+    /// Counts how often the exchange was applied to find the scaling.
+    pub(crate) fn n_applications(&self) -> u64 {
+        match self.iterations {
+            0 => 0,
+            n => n as u64 + 1,
+        }
     }
 
     /// Gives D.

@@ -291,9 +291,8 @@ impl Exchange {
         Ok(Passes::new(self, b).run())
     }
 
-    /// Says how far the grids are off at some elements: the largest difference of what arrives
-    /// there, `flux` = G b, from the sum pair by pair, an area, as a share of the mean. 0 without
-    /// grids.
+    /// Says how far the grids are off at some elements: the mean difference of what arrives there,
+    /// `flux` = G b, from the sum pair by pair, an area, as a share of the mean. 0 without grids.
     pub(crate) fn error_at(&self, elements: &[u32], b: &[f64], flux: &[f64]) -> f64 {
         let Some(far) = &self.far else { return 0.0 };
         let one = |&id: &u32| {
@@ -306,9 +305,8 @@ impl Exchange {
             ((flux[i] - exact).abs() / area, exact / area)
         };
         let rows: Vec<(f64, f64)> = elements.par_iter().map(one).collect();
-        let most = rows.iter().map(|row| row.0).fold(0.0, f64::max);
-        let mean = sum(rows.iter().map(|row| row.1)) / rows.len().max(1) as f64;
-        if mean > 0.0 { most / mean } else { 0.0 }
+        let (off, all) = (sum(rows.iter().map(|row| row.0)), sum(rows.iter().map(|row| row.1)));
+        if all > 0.0 { off / all } else { 0.0 }
     }
 
     /// Lists the elements that links let an element see, in part or whole.

@@ -40,7 +40,7 @@ mod throw;
 mod vector;
 
 pub use area::areas_grid2;
-pub use balance::{Balanced, Scene};
+pub use balance::{Balanced, Scaling, Scene};
 pub use element::{Element, Elements};
 pub use error::LightError;
 pub use exchange::{Exchange, ExchangeStats, Interaction};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use pvmap_query::Map;
 use pvmap_store::Watch;
 
-use crate::balance::{Balanced, Scene};
+use crate::balance::{Balanced, Scaling, Scene};
 use crate::element::Elements;
 use crate::error::{LightError, check};
 use crate::exchange::{Exchange, ExchangeStats};
@@ -13,7 +13,7 @@ use crate::incident::{Air, Incident, OpenSky};
 use crate::lamp::{Lamp, Sky};
 use crate::material::{Channel, Materials};
 use crate::plan::{Effect, Plan, Wishes};
-use crate::solve::{FluxBalance, Operator, SolveOptions, solve};
+use crate::solve::{FluxBalance, Operator, Solution, SolveOptions, solve};
 use crate::specular::Thrown;
 use crate::sum::sum;
 
@@ -110,7 +110,7 @@ pub struct Lit {
     pub scale: Vec<f64>,
     /// The order of the grids; none where pairs were taken one by one, or not at all.
     pub order: Option<usize>,
-    /// The largest error of an exchange by grids at some elements, as a share of the mean.
+    /// The mean error of what grids bring to 64 elements, as a share of what arrives there.
     pub operator_error: f64,
     /// The share of its area by which a row of the exchange is off.
     pub row_error: f64,
@@ -172,7 +172,7 @@ impl<'a> Lighting<'a> {
         self.options.error * (1.0 - rho) / rho
     }
 
-    /// Computes what was planned. `scale` is that of an earlier run for the same map: it is not
+    /// Computes what was planned. `scaling` is that of an earlier run for the same map: it is not
     /// found again.
     ///
     /// # Errors
@@ -180,7 +180,7 @@ impl<'a> Lighting<'a> {
     pub fn run(
         &self,
         planned: &Planned,
-        scale: Option<Vec<f64>>,
+        scaling: Option<Scaling>,
         watch: &dyn Watch,
     ) -> Result<Lit, LightError> {
         let plan = &planned.plan;
@@ -191,7 +191,7 @@ impl<'a> Lighting<'a> {
         let mut lit = Lit {
             channels: Vec::new(),
             open_sky: open.share,
-            scale: scale.clone().unwrap_or_else(|| vec![1.0; n]),
+            scale: vec![1.0; n],
             order: None,
             operator_error: 0.0,
             row_error: 0.0,
@@ -201,7 +201,7 @@ impl<'a> Lighting<'a> {
         };
         lit.work.n_channels = channels.len() as u64;
         let balanced = match &planned.exchange {
-            Some(exchange) => Some(self.balanced(exchange, plan, scale, &mut lit, watch)?),
+            Some(exchange) => Some(self.balanced(exchange, plan, scaling, &mut lit, watch)?),
             None => None,
         };
         let mut incident: Vec<Vec<f64>> = (0..channels.len())
@@ -297,27 +297,25 @@ impl<'a> Lighting<'a> {
         &self,
         exchange: &'e Exchange,
         plan: &Plan,
-        scale: Option<Vec<f64>>,
+        scaling: Option<Scaling>,
         lit: &mut Lit,
         watch: &dyn Watch,
     ) -> Result<Balanced<'e>, LightError> {
         watch.stage("scale", None, "rounds");
         let scene = if plan.is_closed { Scene::Closed } else { Scene::Open };
-        let balanced = match scale {
-            Some(scale) => Balanced::with_scale(exchange, scene, scale)?,
+        let balanced = match scaling {
+            Some(scaling) => Balanced::again(exchange, scaling)?,
             None => {
                 let tolerance = self.operator_tolerance();
                 Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?
             }
         };
         lit.scale = balanced.scale().to_vec();
-        let flux: Vec<f64> = balanced.rows().iter().zip(&lit.scale).map(|(r, d)| r / d).collect();
-        lit.operator_error = exchange.error_at(&self.some(N_COMPARED), &lit.scale, &flux);
         lit.row_error = balanced.row_error();
         lit.order = exchange.order();
         lit.stats = exchange.stats();
         lit.work.n_near_field = exchange.n_near_field();
-        lit.work.n_applications += balanced.iterations() as u64 + 1;
+        lit.work.n_applications += balanced.n_applications();
         Ok(balanced)
     }
 
@@ -332,7 +330,8 @@ impl<'a> Lighting<'a> {
         let Solved { plan, balanced, .. } = *scene;
         let areas = self.elements.areas();
         let mut irradiance = incident;
-        let from_outside = sum(areas.iter().zip(&irradiance).map(|(a, h)| a * h));
+        let from_outside = self.flux_of(&irradiance);
+        let mut exchanged = 0.0;
         if let Some(balanced) = balanced {
             let has_bounces = plan.is_on(Effect::Bounces);
             let nothing = vec![0.0; areas.len()];
@@ -347,8 +346,12 @@ impl<'a> Lighting<'a> {
             let operator = Watched { balanced, watch };
             let found = solve(&operator, shining, albedo, &self.solve_options())?;
             lit.work.n_iterations += found.iterations as u64;
-            lit.work.n_applications += found.iterations as u64 + 2;
+            lit.work.n_applications += found.iterations as u64 + 1;
             lit.residual = lit.residual.max(found.residual);
+            exchanged = self.flux_of(&found.irradiance);
+            if lit.channels.is_empty() {
+                lit.operator_error = self.operator_error(balanced, &found);
+            }
             irradiance.iter_mut().zip(&found.irradiance).for_each(|(h, more)| *h += more);
         }
         let rows = given.emission.iter().zip(&given.albedo).zip(&irradiance);
@@ -356,17 +359,23 @@ impl<'a> Lighting<'a> {
         let emitted = sum(areas.iter().zip(&given.emission).map(|(a, e)| a * e)) + from_outside;
         let rows = areas.iter().zip(&irradiance).zip(&given.albedo);
         let absorbed = sum(rows.map(|((a, h), rho)| a * h * (1.0 - rho)));
-        let escapes = |id: usize| match balanced {
-            Some(balanced) => areas[id] - balanced.rows()[id],
-            None => areas[id],
-        };
-        let escaped = sum(exitance.iter().enumerate().map(|(id, b)| b * escapes(id)));
+        let left = sum(areas.iter().zip(&exitance).map(|(a, b)| a * b));
+        let escaped = left - exchanged;
         let balance = FluxBalance { emitted, absorbed, escaped, clipped: 0.0 };
         Ok(LitChannel { given, exitance, irradiance, balance })
     }
 
+    /// Says how far the grids are off at some elements, lit as they are.
+    fn operator_error(&self, balanced: &Balanced<'_>, found: &Solution) -> f64 {
+        let scale = balanced.scale();
+        let b: Vec<f64> = found.exitance.iter().zip(scale).map(|(b, d)| b * d).collect();
+        let rows = found.irradiance.iter().zip(self.elements.areas()).zip(scale);
+        let flux: Vec<f64> = rows.map(|((h, area), d)| h * area / d).collect();
+        balanced.exchange().error_at(&self.some(N_COMPARED), &b, &flux)
+    }
+
     fn solve_options(&self) -> SolveOptions {
-        SolveOptions { tolerance: 0.25 * self.options.error, ..SolveOptions::default() }
+        SolveOptions { tolerance: 0.5 * self.options.error, ..SolveOptions::default() }
     }
 }
 
@@ -393,7 +402,7 @@ impl Operator for Watched<'_, '_> {
     }
 
     fn row_error(&self) -> f64 {
-        self.balanced.row_error()
+        Operator::row_error(self.balanced)
     }
 }
 

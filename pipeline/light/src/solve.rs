@@ -180,12 +180,12 @@ impl<O: Operator> System<'_, O> {
         sum(self.albedo.iter().zip(residual).map(|(rho, r)| rho * r.abs()))
     }
 
-    /// Gives (A/ρ) x - G x where something is reflected, else 0; x is 0 there.
+    /// Gives (A/ρ) x - G x where something is reflected, else -G x; x is 0 there.
     fn product(&self, x: &[f64]) -> Result<Vec<f64>, LightError> {
         let mut out = self.operator.apply(x)?;
         let rows = self.albedo.iter().zip(self.operator.areas()).zip(x);
         for (out, ((&rho, area), x)) in out.iter_mut().zip(rows) {
-            *out = if rho > 0.0 { area / rho * x - *out } else { 0.0 };
+            *out = if rho > 0.0 { area / rho * x - *out } else { -*out };
         }
         Ok(out)
     }
@@ -196,7 +196,8 @@ struct State {
     method: Method,
     /// Light that has been reflected.
     x: Vec<f64>,
-    /// G E + G x - (A/ρ) x, by conjugate gradients kept up to date.
+    /// G E + G x - (A/ρ) x, by conjugate gradients kept up to date; where nothing is reflected,
+    /// what arrives.
     r: Vec<f64>,
     /// The direction of the next step.
     p: Vec<f64>,
@@ -208,11 +209,27 @@ struct State {
 
 impl State {
     fn begin<O: Operator>(system: &System<'_, O>, method: Method) -> Result<State, LightError> {
-        let mut r = system.operator.apply(system.emission)?;
-        r.iter_mut().zip(system.albedo).filter(|(_, rho)| **rho == 0.0).for_each(|(r, _)| *r = 0.0);
+        let r = system.operator.apply(system.emission)?;
         let p = system.reflect(&r);
         let (rz, residual) = (dot(&r, &p), system.size(&r));
         Ok(State { method, x: vec![0.0; r.len()], r, p, rz, residual, iterations: 0 })
+    }
+
+    /// Gives G (E + x): the residual says it, but that of Jacobi iteration is one bounce behind.
+    fn arriving<O: Operator>(
+        &self,
+        system: &System<'_, O>,
+        exitance: &[f64],
+    ) -> Result<Vec<f64>, LightError> {
+        if self.method == Method::Jacobi && self.iterations > 0 {
+            return system.operator.apply(exitance);
+        }
+        let rows =
+            system.albedo.iter().zip(system.operator.areas()).zip(self.x.iter().zip(&self.r));
+        let flux = |((rho, area), (x, r)): ((&f64, &f64), (&f64, &f64))| {
+            if *rho > 0.0 { r + area / rho * x } else { *r }
+        };
+        Ok(rows.map(flux).collect())
     }
 
     fn step<O: Operator>(&mut self, system: &System<'_, O>) -> Result<(), LightError> {
@@ -262,7 +279,7 @@ fn finish<O: Operator>(
 ) -> Result<Solution, LightError> {
     let (areas, albedo) = (system.operator.areas(), system.albedo);
     let exitance: Vec<f64> = system.emission.iter().zip(&state.x).map(|(e, x)| e + x).collect();
-    let flux = system.operator.apply(&exitance)?;
+    let flux = state.arriving(system, &exitance)?;
     let absorbed = sum(flux.iter().zip(albedo).map(|(flux, rho)| (1.0 - rho) * flux));
     let rows = areas.iter().zip(row_sums).zip(&exitance);
     let escaped = sum(rows.map(|((area, row), b)| b * (area - row)));

@@ -37,9 +37,9 @@ pub struct LightSummary {
     pub iterations: u32,
     /// Relative error of the radiosity that was asked for.
     pub error_target: f64,
-    /// Bound on the relative error of the exchange by its order.
+    /// Mean relative error of what grids bring, at 64 surfels.
     pub operator_error: f64,
-    /// Share of its area by which a row of the scaled exchange is off at the most.
+    /// Share of all area by which the rows of the scaled exchange are off.
     pub row_error: f64,
     /// Flux that may be wrong, as a share of what is emitted, in the channel with the most.
     pub residual: f64,
