@@ -7,7 +7,7 @@ mod cli_common;
 use cli_common::{Bench, room};
 
 /// Every page of help: its name, and what asks for it.
-const PAGES: [(&str, &str); 19] = [
+const PAGES: [(&str, &str); 20] = [
     ("pvmap", "--help"),
     ("ingest", "ingest --help"),
     ("build", "build --help"),
@@ -22,6 +22,7 @@ const PAGES: [(&str, &str); 19] = [
     ("info", "info --help"),
     ("verify", "verify --help"),
     ("export", "export --help"),
+    ("light", "light --help"),
     ("render", "render --help"),
     ("scene", "scene --help"),
     ("accuracy", "accuracy --help"),
@@ -53,8 +54,8 @@ fn help_fits_a_terminal_and_has_examples_units_and_defaults() {
         assert!(page.contains("[default: auto]"), "{name}: defaults");
     }
     for command in [
-        "ingest", "build", "query", "render", "info", "verify", "export", "scene", "accuracy",
-        "tradeoff", "demo",
+        "ingest", "build", "query", "light", "render", "info", "verify", "export", "scene",
+        "accuracy", "tradeoff", "demo",
     ] {
         assert!(bench.line("--help").ok().stdout.contains(&format!("\n  {command} ")));
         // The short form and the long one are the same page.

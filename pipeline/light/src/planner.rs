@@ -216,11 +216,15 @@ impl Lighting<'_> {
         let looks = looks.collect::<Result<Vec<_>, _>>()?;
         let n_tried: u64 = looks.iter().map(|look| look.2).sum();
         let share = shining.of_sky / shining.flux;
-        let call = match looks.iter().find(|look| look.1 > 0.0) {
-            Some((id, open, _)) => {
-                Call::on(format!("surfel {id} has {:.0} % of open sky", 100.0 * open), share)
+        let open = sum(looks.iter().map(|look| f64::from(look.1))) / looks.len().max(1) as f64;
+        let call = match looks.iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
+            Some((id, most, _)) if *most > 0.0 => {
+                let (open_percent, most) = (100.0 * open, 100.0 * most);
+                let what =
+                    format!("open sky {open_percent:.1} % on average, surfel {id} {most:.0} %");
+                Call::on(what, share * open).if_worth(self.options.worth)
             }
-            None => {
+            _ => {
                 let bound = share * NEVER / n_tried.max(1) as f64;
                 let what = format!("none of {n_tried} directions is open (95 %)");
                 Call { skipped: bound, ..Call::off(what) }
