@@ -481,3 +481,15 @@ fn what_would_take_far_too_long_is_not_begun() {
     assert!(row.contains("not begun: some ") && row.ends_with(" expected"), "{row}");
     assert!(begun.elapsed() < Duration::from_secs(90), "{:?}", begun.elapsed());
 }
+
+#[test]
+fn committed_tables_have_the_columns_that_are_written() {
+    use pvmap::tradeoff::defects::table::CSV_HEADER as DEFECTS;
+    use pvmap::tradeoff::table::CSV_HEADER as SETTINGS;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/tradeoff");
+    for name in ["furnished", "bunny", "cave", "defects-furnished"] {
+        let table = std::fs::read_to_string(folder.join(format!("{name}.csv"))).unwrap();
+        let header = if name.starts_with("defects") { DEFECTS.as_str() } else { SETTINGS };
+        assert_eq!(table.lines().next(), Some(header), "{name}");
+    }
+}
