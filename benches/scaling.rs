@@ -27,11 +27,13 @@ mod support {
     pub(crate) mod measure;
     pub(crate) mod peak;
     pub(crate) mod plot;
+    pub(crate) mod power;
     pub(crate) mod row;
     pub(crate) mod table;
 }
 
-use support::growth::{Figure, Growth, of_scene};
+use support::growth::{Figure, of_scene};
+use support::power::Growth;
 use support::row::Row;
 use support::{compare, growth, instructions, measure, peak, plot, table};
 

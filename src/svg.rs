@@ -5,6 +5,9 @@ use std::fmt::Write;
 /// Blue, vermilion, green and purple, which also the colour-blind tell apart.
 pub const COLORS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#aa4499"];
 
+/// The height of a line of letters, and about the width of one letter.
+pub const LETTER: [f64; 2] = [14.0, 6.9];
+
 const STYLE: &str = "\
 text { font-family: 'DejaVu Sans', Verdana, sans-serif; font-size: 12px; fill: #333 }
 .title { font-size: 20px; font-weight: bold; fill: #111 }
@@ -152,4 +155,71 @@ pub fn escaped(text: &str) -> String {
         }
     }
     found
+}
+
+/// Draws a front as steps, of class `front`: what lies above them is beaten. Gives the areas that
+/// they take: lowest and highest x and y.
+pub fn steps(svg: &mut String, mut places: Vec<[f64; 2]>) -> Vec<[f64; 4]> {
+    places.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let Some(first) = places.first() else { return Vec::new() };
+    let mut path = format!("M{:.1} {:.1}", first[0], first[1]);
+    let mut taken = Vec::new();
+    for pair in places.windows(2) {
+        let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
+        let _ = write!(path, "H{x1:.1}V{y1:.1}");
+        taken.extend([[x0, y0 - 1.0, x1, y0 + 1.0], [x1 - 1.0, y0, x1 + 1.0, y1]]);
+    }
+    let _ = writeln!(svg, "<path class=\"front\" d=\"{path}\"/>");
+    taken
+}
+
+/// Gives the area that a mark takes.
+pub fn around([x, y]: [f64; 2]) -> [f64; 4] {
+    [x - 6.0, y - 6.0, x + 6.0, y + 6.0]
+}
+
+/// Writes a name beside its mark, within `bounds` and where nothing is `taken`; farther off with a
+/// line to it, of class `leader`. Takes its own area.
+pub fn name(
+    svg: &mut String,
+    name: &str,
+    [x, y]: [f64; 2],
+    bounds: [f64; 4],
+    taken: &mut Vec<[f64; 4]>,
+) {
+    let width = LETTER[1] * name.chars().count() as f64;
+    // Beside the mark, a little above or below it, then farther and farther off.
+    let rises = (0..40).map(|i| 7.0 * f64::from(i));
+    let places = rises.flat_map(|rise| {
+        [(true, -rise), (true, rise), (false, -rise), (false, rise)]
+            .map(|(is_right, off)| (is_right, [x, y + off]))
+    });
+    let box_of = |(is_right, [x, y]): (bool, [f64; 2])| {
+        let begin = if is_right { x + 11.0 } else { x - 11.0 - width };
+        [begin, y - 7.0, begin + width, y + 7.0]
+    };
+    let meets =
+        |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+    let is_free = |area: &[f64; 4]| {
+        area[0] > bounds[0]
+            && area[1] > bounds[1]
+            && area[2] < bounds[2]
+            && area[3] < bounds[3]
+            && !taken.iter().any(|other| meets(area, other))
+    };
+    let mut places = places.map(|place| (place, box_of(place)));
+    let beside = (true, [x, y]);
+    let ((is_right, [at_x, at_y]), area) =
+        places.find(|(_, area)| is_free(area)).unwrap_or((beside, box_of(beside)));
+    let (edge, anchor) = if is_right { (at_x + 11.0, "start") } else { (at_x - 11.0, "end") };
+    if (at_y - y).abs() > 1.5 * LETTER[0] {
+        stroke(svg, "leader", [x, y], [edge, at_y]);
+    }
+    text(svg, [edge, at_y + 4.0], "", anchor, &escaped(name));
+    taken.push(area);
+}
+
+/// Gives about the width of letters.
+pub fn width_of(letters: &str) -> f64 {
+    LETTER[1] * letters.chars().count() as f64
 }

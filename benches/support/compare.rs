@@ -1,6 +1,7 @@
 //! Is it worse than last time? Instruction counts and growth exponents against an earlier table.
 
-use super::growth::{Figure, Growth, of_scene, scenes};
+use super::growth::{Figure, of_scene, scenes};
+use super::power::Growth;
 use super::row::Row;
 
 /// What a figure may grow by before it is a finding: 15 %.

@@ -1,4 +1,4 @@
-//! How figures grow with the leaves: least squares through the logarithms.
+//! Which figures of builds grow with the leaves.
 
 use super::row::Row;
 
@@ -42,36 +42,6 @@ impl Figure {
             rows.iter().filter_map(point).filter(|p| p.0 > 0.0 && p.1 > 0.0).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         points
-    }
-}
-
-/// y = factor · x^exponent.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Growth {
-    pub(crate) factor: f64,
-    pub(crate) exponent: f64,
-}
-
-impl Growth {
-    /// Fits positive points; `None` where fewer than two x differ.
-    pub(crate) fn fit(points: &[(f64, f64)]) -> Option<Growth> {
-        let logs: Vec<(f64, f64)> = points.iter().map(|p| (p.0.ln(), p.1.ln())).collect();
-        let mean =
-            |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / logs.len() as f64;
-        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-        let spread: f64 = logs.iter().map(|p| (p.0 - x) * (p.0 - x)).sum();
-        let common: f64 = logs.iter().map(|p| (p.0 - x) * (p.1 - y)).sum();
-        // Without points the means are NaN, and so is this.
-        if spread.is_nan() || spread < 1e-9 {
-            return None;
-        }
-        let exponent = common / spread;
-        Some(Growth { factor: (y - exponent * x).exp(), exponent })
-    }
-
-    /// Gives y at a place.
-    pub(crate) fn at(&self, x: f64) -> f64 {
-        self.factor * x.powf(self.exponent)
     }
 }
 

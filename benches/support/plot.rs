@@ -4,7 +4,8 @@ use std::fmt::Write;
 
 use pvmap::svg::{Axis, COLORS, begin, grid, label, mark, text};
 
-use super::growth::{Figure, Growth, of_scene, scenes};
+use super::growth::{Figure, of_scene, scenes};
+use super::power::Growth;
 use super::row::Row;
 
 const WIDTH: f64 = 1120.0;

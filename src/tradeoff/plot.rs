@@ -5,7 +5,9 @@ use std::fmt::Write;
 use super::pareto::{Wish, choose, front};
 use super::table::recommendation;
 use super::{Built, Clock, Outcome, Row, Subject};
-use crate::svg::{Axis, COLORS, begin, escaped, grid, mark, stroke, text};
+use crate::svg::{
+    Axis, COLORS, LETTER, around, begin, escaped, grid, mark, name, steps, stroke, text, width_of,
+};
 
 /// What a drawing begins with: by it a file is known as one.
 pub const START: &str = "<!-- pvmap tradeoff -->";
@@ -16,8 +18,6 @@ const HEIGHT: f64 = 640.0;
 const MARGINS: [f64; 4] = [76.0, 28.0, 96.0, 72.0];
 /// The height of a line below the axes.
 const LINE: f64 = 20.0;
-/// The height of a line of letters, and about the width of one letter.
-const LETTER: [f64; 2] = [14.0, 6.9];
 
 const STYLE: &str = "\
 <style>.interval { stroke-width: 1.4; opacity: 0.55 } .front { stroke: #555; stroke-width: 1.2; \
@@ -101,11 +101,6 @@ fn spots(rows: &[Row]) -> Vec<Spot<'_>> {
 /// Gives the color of a group; with its shape it is its own up to sixteen groups.
 fn color_of(group: usize) -> &'static str {
     COLORS[(group + group / COLORS.len()) % COLORS.len()]
-}
-
-/// Gives about the width of letters.
-fn width_of(letters: &str) -> f64 {
-    LETTER[1] * letters.chars().count() as f64
 }
 
 /// Sets things of these widths one after the other: the line of each, and where it begins there.
@@ -228,65 +223,6 @@ fn one(svg: &mut String, spot: &Spot<'_>, at: [f64; 2], [low, high]: [f64; 2]) {
     );
     mark(svg, at, color, spot.group, spot.is_front);
     svg.push_str("</g>\n");
-}
-
-/// Draws the front as steps: what lies above them is beaten. Gives the areas that they take.
-fn steps(svg: &mut String, mut places: Vec<[f64; 2]>) -> Vec<[f64; 4]> {
-    places.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let Some(first) = places.first() else { return Vec::new() };
-    let mut path = format!("M{:.1} {:.1}", first[0], first[1]);
-    let mut taken = Vec::new();
-    for pair in places.windows(2) {
-        let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
-        let _ = write!(path, "H{x1:.1}V{y1:.1}");
-        taken.extend([[x0, y0 - 1.0, x1, y0 + 1.0], [x1 - 1.0, y0, x1 + 1.0, y1]]);
-    }
-    let _ = writeln!(svg, "<path class=\"front\" d=\"{path}\"/>");
-    taken
-}
-
-fn around([x, y]: [f64; 2]) -> [f64; 4] {
-    [x - 6.0, y - 6.0, x + 6.0, y + 6.0]
-}
-
-/// Writes a name beside its mark, where nothing else stands; farther off with a line to it.
-fn name(
-    svg: &mut String,
-    name: &str,
-    [x, y]: [f64; 2],
-    bounds: [f64; 4],
-    taken: &mut Vec<[f64; 4]>,
-) {
-    let width = LETTER[1] * name.chars().count() as f64;
-    // Beside the mark, a little above or below it, then farther and farther off.
-    let rises = (0..40).map(|i| 7.0 * f64::from(i));
-    let places = rises.flat_map(|rise| {
-        [(true, -rise), (true, rise), (false, -rise), (false, rise)]
-            .map(|(is_right, off)| (is_right, [x, y + off]))
-    });
-    let box_of = |(is_right, [x, y]): (bool, [f64; 2])| {
-        let begin = if is_right { x + 11.0 } else { x - 11.0 - width };
-        [begin, y - 7.0, begin + width, y + 7.0]
-    };
-    let meets =
-        |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
-    let is_free = |area: &[f64; 4]| {
-        area[0] > bounds[0]
-            && area[1] > bounds[1]
-            && area[2] < bounds[2]
-            && area[3] < bounds[3]
-            && !taken.iter().any(|other| meets(area, other))
-    };
-    let mut places = places.map(|place| (place, box_of(place)));
-    let beside = (true, [x, y]);
-    let ((is_right, [at_x, at_y]), area) =
-        places.find(|(_, area)| is_free(area)).unwrap_or((beside, box_of(beside)));
-    let (edge, anchor) = if is_right { (at_x + 11.0, "start") } else { (at_x - 11.0, "end") };
-    if (at_y - y).abs() > 1.5 * LETTER[0] {
-        stroke(svg, "leader", [x, y], [edge, at_y]);
-    }
-    text(svg, [edge, at_y + 4.0], "", anchor, &escaped(name));
-    taken.push(area);
 }
 
 /// Writes a round number without needless zeros: 0.05, 2, 100.
