@@ -64,6 +64,9 @@ struct Args {
     /// Measure how light grows with the surfels instead
     #[arg(long)]
     scale: bool,
+    /// Draw the plot of an earlier cornell.csv again, and measure nothing
+    #[arg(long, value_name = "OLD.csv")]
+    redraw: Option<PathBuf>,
     /// Deepest levels of the maps
     #[arg(long, value_delimiter = ',', value_name = "L,…", default_value = "5,6,7,8")]
     levels: Vec<u8>,
@@ -89,10 +92,13 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     for (scale, points) in [(false, vec![40_000]), (true, vec![20_000, 40_000])] {
         let output = folder.path().to_owned();
-        run(&Args { output, scale, levels: vec![5], points, bench: false })?;
+        run(&Args { output, scale, redraw: None, levels: vec![5], points, bench: false })?;
     }
-    let curve = std::fs::read_to_string(folder.path().join("cornell.svg"))?;
-    assert!(curve.ends_with("</svg>\n"), "a drawing without an end");
+    let curve = || std::fs::read_to_string(folder.path().join("cornell.svg"));
+    let drawn = curve()?;
+    assert!(drawn.ends_with("</svg>\n"), "a drawing without an end");
+    light_cost::redraw(&folder.path().join("cornell.csv"), folder.path())?;
+    assert!(curve()? == drawn, "another drawing of the same table");
     Ok(ExitCode::SUCCESS)
 }
 
@@ -102,6 +108,9 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         true => usual.to_vec(),
         false => args.points.clone(),
     };
+    if let Some(table) = &args.redraw {
+        return light_cost::redraw(table, &args.output);
+    }
     match args.scale {
         true => light_growth::run(&args.output, &points(&light_growth::POINTS)),
         false => {

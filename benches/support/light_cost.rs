@@ -8,7 +8,7 @@ use pvmap::query::{Map, Place, Snap};
 use pvmap::scene::SceneKind;
 use pvmap::vmap::{LightView, MapSummary};
 use pvmap::{Approximation, BuildConfig, LightRequest, Limits, LitMap, Mapped, Quiet};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::light_plot;
 use super::processor::mean_of;
@@ -20,9 +20,10 @@ pub(crate) const POINTS: u64 = 400_000;
 const SCENE: &str = "furnished-grey";
 
 /// A light of a map.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Cost {
-    /// The map: level and capacity, or its preset.
+    pub(crate) points: u64,
+    /// The map: level and capacity, or what is left out of it.
     pub(crate) map: String,
     pub(crate) max_level: u8,
     pub(crate) leaf_capacity: u64,
@@ -85,8 +86,17 @@ pub(crate) fn run(output: &Path, n_points: u64, levels: &[u8]) -> Result<(), Box
     let mut writer = csv::Writer::from_path(output.join("cornell.csv"))?;
     rows.iter().try_for_each(|row| writer.serialize(row))?;
     writer.flush()?;
-    std::fs::write(output.join("cornell.svg"), light_plot::draw(&rows, n_points))?;
+    std::fs::write(output.join("cornell.svg"), light_plot::draw(&rows))?;
     Ok(())
+}
+
+/// Draws an earlier table again.
+///
+/// # Errors
+/// Where it cannot be read or the plot not be written.
+pub(crate) fn redraw(table: &Path, output: &Path) -> Result<(), Box<dyn Error>> {
+    let rows: Result<Vec<Cost>, _> = csv::Reader::from_path(table)?.into_deserialize().collect();
+    Ok(std::fs::write(output.join("cornell.svg"), light_plot::draw(&rows?))?)
 }
 
 /// Gives the maps: depths by capacities, and two that leave something out.
@@ -147,6 +157,7 @@ fn cost(
     let offs = offs(&map.path, &output, places)?;
     let mean = |of: fn(&f64) -> f64| offs.iter().map(of).sum::<f64>() / offs.len() as f64;
     Ok(Cost {
+        points: map.summary.n_points,
         map: map.name.clone(),
         max_level: map.config.max_level,
         leaf_capacity: map.config.leaf_capacity,

@@ -11,16 +11,21 @@ const PANEL_WIDTH: f64 = 560.0;
 /// Around the axes of a panel: left, right, above, below.
 const MARGINS: [f64; 4] = [76.0, 24.0, 116.0, 104.0];
 
+/// Marks nearer than that to a named one have no name of their own.
+const APART: f64 = 8.0;
+
 const STYLE: &str = "\
 <style>.front { stroke: #555; stroke-width: 1.2; stroke-dasharray: 2 3; fill: none } \
 .leader { stroke: #bbb }</style>
 ";
 
 /// Draws the rows: a mark a light, full where no other takes as little and is as near.
-pub(crate) fn draw(rows: &[Cost], n_points: u64) -> String {
+pub(crate) fn draw(rows: &[Cost]) -> String {
+    let n_points = rows.first().map_or(0, |row| row.points);
     let subtitle = format!(
-        "furnished Cornell room, {n_points} points, albedo 0.7; mean of 256 places of floor and \
-         walls against a path tracer; full: none takes as little and is as near"
+        "furnished Cornell room, {} points, albedo 0.7; mean of 256 places of floor and walls \
+         against a path tracer; full: none takes as little and is as near",
+        label(n_points as f64, "")
     );
     let mut svg = begin([WIDTH, HEIGHT], "What light costs", &subtitle) + STYLE;
     panel(&mut svg, 0.0, "processor seconds of the light", rows, |row| row.light_seconds);
@@ -33,6 +38,7 @@ pub(crate) fn draw(rows: &[Cost], n_points: u64) -> String {
     for (shape, way) in WAYS.into_iter().enumerate() {
         at[0] += entry(&mut svg, at, "#555", shape, way);
     }
+    text(&mut svg, [at[0], at[1] + 4.0], "subtitle", "start", "L: deepest level, c: most points a leaf");
     svg.push_str("</svg>\n");
     svg
 }
@@ -74,7 +80,7 @@ fn panel(
     let seconds = |row: &Cost| seconds(row).max(0.01);
     let x = Axis::over(rows.iter().map(&seconds), [x0, width]);
     let y = Axis::over(rows.iter().map(|r| 100.0 * r.mean_error), [above + height, -height]);
-    grid(svg, [&x, &y], [&|v| label(v, "s"), &|v| format!("{v:.1} %")]);
+    grid(svg, [&x, &y], [&|v| label(v, "s"), &|v| format!("{v} %")]);
     text(svg, [x0 + width, above + height + 38.0], "subtitle", "end", caption);
     text(svg, [x0 - 48.0, above - 14.0], "subtitle", "start", "mean error of irradiance");
     let place = |row: &Cost| [x.at(seconds(row)), y.at(100.0 * row.mean_error)];
@@ -93,8 +99,14 @@ fn panel(
         }
     }
     let bounds = [x0, above, x0 + width, above + height];
+    let mut named: Vec<[f64; 2]> = Vec::new();
     for row in front {
-        name(svg, &format!("{} {}", row.map, row.light), place(row), bounds, &mut taken);
+        let [x, y] = place(row);
+        // Marks that lie on one another have one name.
+        if named.iter().all(|at| (at[0] - x).abs().max((at[1] - y).abs()) > APART) {
+            name(svg, &format!("{} {}", row.map, row.light), [x, y], bounds, &mut taken);
+            named.push([x, y]);
+        }
     }
 }
 

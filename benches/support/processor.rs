@@ -40,7 +40,8 @@ pub(crate) fn mean_of<T, E>(job: impl Fn() -> Result<T, E>) -> Result<(T, Took),
     }
     let (runs, all) = timed(|| (0..RUNS).try_for_each(|_| job().map(drop)));
     runs?;
-    let mean = |seconds: f64| seconds / f64::from(RUNS);
+    // In whole milliseconds: there is no more to it.
+    let mean = |seconds: f64| (seconds / f64::from(RUNS) * 1e3).round() / 1e3;
     let [processor_seconds, wall_seconds] = [all.processor_seconds, all.wall_seconds].map(mean);
     Ok((done, Took { processor_seconds, wall_seconds }))
 }

@@ -2,10 +2,11 @@
 
 use fastrand::Rng;
 use pvmap_light::{
-    Balanced, Exchange, Kernel, LightError, Method, Operator, Scene, Solution, SolveOptions, solve,
+    Balanced, Exchange, FluxBalance, Kernel, LightError, Method, Operator, Scene, Solution,
+    SolveOptions, solve,
 };
 
-use crate::common::{box_room, closed_solution, element, most, open_exchange};
+use crate::common::{box_room, closed_solution, element, exchange_where, most, open_exchange};
 
 const OPTIONS: SolveOptions =
     SolveOptions { method: Method::ConjugateGradients, tolerance: 1e-10, max_iterations: 100_000 };
@@ -142,6 +143,51 @@ fn n81_a_weak_emitter_beside_a_strong_one_is_kept() {
     // and on the whole where the strong one's light is faintest, has it.
     let added = both[100] - strong[100];
     assert!((added / weak[100] - 1.0).abs() < 1e-3, "{added}, not {}", weak[100]);
+}
+
+#[test]
+fn n81_emitters_of_any_strength_are_kept_where_light_is_reflected_a_thousand_times() {
+    let (exchange, strong, _) = lit_room();
+    let n = strong.len();
+    let strong: Vec<f64> = strong.iter().map(|e| 1e12 * e).collect();
+    let mut weak = vec![0.0; n];
+    weak[100] = 1.0;
+    let both: Vec<f64> = strong.iter().zip(&weak).map(|(a, b)| a + b).collect();
+    let options = SolveOptions { tolerance: 1e-8, ..OPTIONS };
+    let [strong, weak, both] =
+        [&strong, &weak, &both].map(|e| closed(&exchange, e, &vec![0.999; n], &options));
+    for one in [&strong, &weak, &both] {
+        let FluxBalance { emitted, absorbed, .. } = one.balance;
+        assert!((absorbed / emitted - 1.0).abs() <= 1e-6, "{:?}", one.balance);
+    }
+    let sum = strong.exitance.iter().zip(&weak.exitance).map(|(a, b)| a + b).collect::<Vec<_>>();
+    assert!(off(&both.exitance, &sum) <= 1e-6, "{:e}", off(&both.exitance, &sum));
+}
+
+#[test]
+fn n81_a_weak_emitter_in_a_room_of_its_own_is_kept() {
+    let room = box_room(5);
+    let n = room.len();
+    let beside = room.iter().map(|e| {
+        let [x, y, z] = e.position;
+        element([x + 3.0, y, z], e.normal, e.area)
+    });
+    let rooms: Vec<_> = room.iter().copied().chain(beside).collect();
+    let exchange = exchange_where(&rooms, Kernel::default(), |i, j| (i < n) == (j < n));
+    let alone = open_exchange(&room, Kernel::default());
+    let lamp: Vec<f64> = (0..n).map(|i| f64::from(u8::from(i < 25))).collect();
+    let albedo = [vec![0.7; n], vec![0.999; n]];
+    let dark = vec![0.0; n];
+    let strong: Vec<f64> = lamp.iter().map(|e| 1e12 * e).collect();
+    let own = closed(&alone, &lamp, &albedo[1], &OPTIONS).exitance;
+    let weak_of = |strong: &[f64]| {
+        let emission = [strong, &lamp].concat();
+        let found = closed(&exchange, &emission, &albedo.concat(), &OPTIONS);
+        off(&found.exitance[n..], &own)
+    };
+    assert!(weak_of(&dark) <= 1e-9, "{:e}", weak_of(&dark));
+    // Iterations end by the flux of all; those that the strong lamp takes serve the weak one, too.
+    assert!(weak_of(&strong) <= 1e-5, "{:e}", weak_of(&strong));
 }
 
 fn closed(exchange: &Exchange, e: &[f64], rho: &[f64], options: &SolveOptions) -> Solution {
