@@ -275,26 +275,20 @@ fn n84_a_scan_of_any_size_has_the_same_light() {
 fn d9_light_holds_what_it_may_or_says_what_it_needs() {
     let lights = furnace(0.5);
     let (mut n_lit, mut n_refused) = (0, 0);
-    for capacity in [50, 12] {
-        let bench = built(&room_cloud(60_000), &format!("--leaf-capacity {capacity}"));
-        for options in ["--memory 64MiB", "--memory 64MiB --direct", "--memory 200MiB"] {
-            let memory_mib = if options.contains("200") { 200 } else { 64 };
-            for threads in [2, 8] {
-                let line = format!("{options} --threads {threads}");
-                let run = run(&bench, &lights, &line);
-                let (held, allowed) = (run.anon_bytes, allowed_bytes(memory_mib * MIB, threads));
-                assert!(
-                    held <= allowed,
-                    "{} MiB held, {} allowed: {line}",
-                    held / MIB,
-                    allowed / MIB
-                );
-                match run.code {
-                    0 => n_lit += 1,
-                    _ => {
-                        run.fails(78, &["memory = ", "--memory"]);
-                        n_refused += 1;
-                    }
+    for (capacity, n_points) in [(50, 60_000), (12, 100_000)] {
+        let bench = built(&room_cloud(n_points), &format!("--leaf-capacity {capacity}"));
+        for (memory_mib, threads, options) in
+            [(64, 2, ""), (64, 8, ""), (64, 2, "--direct"), (400, 8, "--order 2")]
+        {
+            let line = format!("{options} --memory {memory_mib}MiB --threads {threads}");
+            let run = run(&bench, &lights, &line);
+            let (held, allowed) = (run.anon_bytes, allowed_bytes(memory_mib * MIB, threads));
+            assert!(held <= allowed, "{} MiB held: {line}", held / MIB);
+            match run.code {
+                0 => n_lit += 1,
+                _ => {
+                    run.fails(78, &["memory = ", "--memory"]);
+                    n_refused += 1;
                 }
             }
         }

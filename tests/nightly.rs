@@ -8,12 +8,14 @@ mod support {
     pub(crate) mod compare;
     pub(crate) mod growth;
     pub(crate) mod plot;
+    pub(crate) mod power;
     pub(crate) mod row;
     pub(crate) mod table;
 }
 
 use support::compare::regressions;
-use support::growth::{Figure, Growth};
+use support::growth::Figure;
+use support::power::Growth;
 use support::row::Row;
 use support::{plot, table};
 

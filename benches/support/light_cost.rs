@@ -115,7 +115,7 @@ fn maps(levels: &[u8]) -> Vec<(String, BuildConfig)> {
     }
     let exact = Approximation::default();
     let left_out = [
-        ("exchange 1e-6", Approximation { min_exchange: 1e-6, ..exact.clone() }),
+        ("exchange 1e-6", Approximation { min_exchange: 1e-6, ..exact }),
         ("angle 0.15", Approximation { opening_angle: 0.15, ..exact }),
     ];
     all.extend(left_out.map(|(name, approximation)| {

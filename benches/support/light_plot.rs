@@ -38,7 +38,8 @@ pub(crate) fn draw(rows: &[Cost]) -> String {
     for (shape, way) in WAYS.into_iter().enumerate() {
         at[0] += entry(&mut svg, at, "#555", shape, way);
     }
-    text(&mut svg, [at[0], at[1] + 4.0], "subtitle", "start", "L: deepest level, c: most points a leaf");
+    let names = "L: deepest level, c: most points a leaf";
+    text(&mut svg, [at[0], at[1] + 4.0], "subtitle", "start", names);
     svg.push_str("</svg>\n");
     svg
 }

@@ -1,4 +1,4 @@
-//! What light costs and how it grows: `cargo bench --bench light [-- ARGUMENTS]`, see `--help`.
+//! What light costs and how it grows: `cargo bench --bench lighting [-- ARGUMENTS]`, see `--help`.
 //!
 //! The furnished Cornell room, albedo 0.7 and a lamp in its ceiling, of which a path tracer knows
 //! the irradiance at 256 places (`tests/reference`): maps of several depths and capacities, each
@@ -59,7 +59,7 @@ const SEED: u64 = 1;
 #[derive(Debug, Parser)]
 struct Args {
     /// Where results go
-    #[arg(long, value_name = "FOLDER", default_value = "target/light")]
+    #[arg(long, value_name = "FOLDER", default_value = "target/lighting")]
     output: PathBuf,
     /// Measure how light grows with the surfels instead
     #[arg(long)]
