@@ -375,7 +375,7 @@ impl<'a> Lighting<'a> {
     }
 
     fn solve_options(&self) -> SolveOptions {
-        SolveOptions { tolerance: 0.5 * self.options.error, ..SolveOptions::default() }
+        SolveOptions { tolerance: 0.25 * self.options.error, ..SolveOptions::default() }
     }
 }
 

@@ -24,10 +24,10 @@ pub(crate) struct Pairs {
 }
 
 impl Pairs {
-    /// Counts the bytes of pairs, and of their lists at both ends.
+    /// Counts the bytes of pairs, by block and all together, and of their lists at both ends.
     fn bytes(&self) -> u64 {
-        let near = size_of::<(u32, u32)>() + 2 * size_of::<Span>();
-        let far = size_of::<(u32, u32, bool)>() + 2 * size_of::<u32>();
+        let near = 2 * size_of::<(u32, u32)>() + 2 * size_of::<Span>();
+        let far = 2 * size_of::<(u32, u32, bool)>() + 2 * size_of::<u32>();
         (self.near.len() * near + self.far.len() * far) as u64
     }
 }
@@ -72,7 +72,10 @@ impl Walk<'_> {
         };
         let blocks: Vec<Pairs> =
             (0..links.n_blocks()).into_par_iter().map(block).collect::<Result<_, _>>()?;
-        let mut all = Pairs::default();
+        let mut all = Pairs {
+            near: Vec::with_capacity(blocks.iter().map(|pairs| pairs.near.len()).sum()),
+            far: Vec::with_capacity(blocks.iter().map(|pairs| pairs.far.len()).sum()),
+        };
         for pairs in blocks {
             all.near.extend(pairs.near);
             all.far.extend(pairs.far);
