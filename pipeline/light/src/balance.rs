@@ -25,7 +25,7 @@ pub enum Scene {
 pub struct Balanced<'a> {
     exchange: &'a Exchange,
     scale: Vec<f64>,
-    /// Σ_j G'_ij, or what that is at the most.
+    /// Σ_j G'_ij; empty where it was not computed.
     row_sums: Vec<f64>,
     row_error: f64,
     iterations: usize,
@@ -121,7 +121,7 @@ impl<'a> Balanced<'a> {
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
         check_each(areas.len(), "the scale", "above 0", &scale, |d| d > 0.0 && d.is_finite())?;
-        Ok(Balanced { exchange, scale, row_sums: areas.to_vec(), row_error, iterations: 0 })
+        Ok(Balanced { exchange, scale, row_sums: Vec::new(), row_error, iterations: 0 })
     }
 
     /// Gives what is scaled.
@@ -192,7 +192,10 @@ impl Operator for Balanced<'_> {
     }
 
     fn row_sums(&self) -> Result<Vec<f64>, LightError> {
-        Ok(self.row_sums.clone())
+        if self.row_sums.len() == self.scale.len() {
+            return Ok(self.row_sums.clone());
+        }
+        row_sums(self.exchange, &self.scale)
     }
 
     fn row_error(&self) -> f64 {

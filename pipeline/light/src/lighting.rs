@@ -343,7 +343,9 @@ impl<'a> Lighting<'a> {
                 true => (&shining, &given.albedo),
                 false => (&given.emission, &nothing),
             };
-            let operator = Watched { balanced, watch };
+            // Below an albedo of 1 it does not matter by how much a row is less than its area.
+            let needs_rows = given.albedo.contains(&1.0);
+            let operator = Watched { balanced, watch, needs_rows };
             let found = solve(&operator, shining, albedo, &self.solve_options())?;
             lit.work.n_iterations += found.iterations as u64;
             lit.work.n_applications += found.iterations as u64 + 1;
@@ -383,6 +385,7 @@ impl<'a> Lighting<'a> {
 struct Watched<'e, 'w> {
     balanced: &'e Balanced<'e>,
     watch: &'w dyn Watch,
+    needs_rows: bool,
 }
 
 impl Operator for Watched<'_, '_> {
@@ -398,7 +401,7 @@ impl Operator for Watched<'_, '_> {
     }
 
     fn row_sums(&self) -> Result<Vec<f64>, LightError> {
-        self.balanced.row_sums()
+        if self.needs_rows { self.balanced.row_sums() } else { Ok(self.areas().to_vec()) }
     }
 
     fn row_error(&self) -> f64 {
