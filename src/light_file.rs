@@ -7,7 +7,7 @@ use pvmap_store::output::require_own;
 use pvmap_store::sections::Section;
 use pvmap_store::{SectionFile, Watch};
 use pvmap_vmap::container::{Written, head_bytes};
-use pvmap_vmap::light::{Found, Given, Scale, SkyShare, close_light, section_names};
+use pvmap_vmap::light::{Found, Given, Gloss, Scale, SkyShare, close_light, section_names};
 use pvmap_vmap::records::Record;
 use pvmap_vmap::{Kind, LightSummary};
 
@@ -35,6 +35,8 @@ pub struct LightContent<'a> {
     pub plan: &'a str,
     /// One for all light, or red, green and blue.
     pub channels: &'a [LightChannel<'a>],
+    /// What each surfel mirrors and lets through, where something does. [F-33]
+    pub gloss: Option<&'a [Gloss]>,
     /// The share of open sky above each surfel, 0…1, where it was computed. [F-29]
     pub sky: Option<&'a [f64]>,
     /// What the exchange of each surfel was scaled with, above 0. [F-30]
@@ -60,9 +62,9 @@ pub fn write_light(
 ) -> Result<u64, Error> {
     content.require_equal_counts();
     require_own(output, Kind::Light.start(), "a light file")?;
-    let LightContent { channels, sky, scale, .. } = *content;
+    let LightContent { channels, gloss, sky, scale, .. } = *content;
     let (n, n_channels) = (scale.len(), channels.len());
-    let names = section_names(sky.is_some());
+    let names = section_names(gloss.is_some(), sky.is_some());
     let file = SectionFile::create(output, head_bytes(names.len()))?;
     watch.stage("write", Some((n * names[N_TEXTS..].len()) as u64), "rows");
     let mut writing = Writing { file, sections: Vec::new(), n, watch };
@@ -72,6 +74,9 @@ pub fn write_light(
     writing.whole(content.lights.as_bytes(), 0)?;
     writing.whole(content.plan.as_bytes(), 0)?;
     writing.rows(n_channels, "emission and albedo", |i, c| channels[c].given(i))?;
+    if let Some(gloss) = gloss {
+        writing.rows(1, "gloss", |i, _| gloss[i])?;
+    }
     writing.rows(n_channels, "light", |i, c| channels[c].found(i))?;
     if let Some(sky) = sky {
         writing.rows(1, "open sky", |i, _| SkyShare(sky[i] as f32))?;
@@ -91,6 +96,7 @@ impl LightContent<'_> {
         let n = self.scale.len();
         let of_channels = self.channels.iter().flat_map(|c| [c.emission, c.albedo, c.irradiance]);
         let all_equal = of_channels.chain(self.sky).all(|values| values.len() == n);
+        let all_equal = all_equal && self.gloss.is_none_or(|gloss| gloss.len() == n);
         assert!(all_equal, "every surfel has a value in every channel");
         assert!([1, 3].contains(&self.channels.len()), "one channel or three");
     }

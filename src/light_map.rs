@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use pvmap_light::{Elements, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work};
+use pvmap_light::{
+    Elements, Gloss, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work,
+};
 use pvmap_query::Map;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::{LightSummary, LightView, MapView};
@@ -81,6 +83,7 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let classes = classes_of(request, &lights, map.view(), watch)?;
     let Assigned { materials, lamps, sky, notes } =
         lights.assign(map.view(), &elements, classes.as_deref())?;
+    let gloss = materials.gloss.clone();
     let options = LightOptions { memory_bytes: limits.memory_bytes, ..request.options.clone() };
     let scene = Lighting::new(&map, elements, materials, lamps, sky, options).map_err(fail)?;
     let planned = scene.plan(watch).map_err(fail)?;
@@ -90,7 +93,8 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     if let Some(output) = &request.output {
         let lit = scene.run(&planned, scaling, watch).map_err(fail)?;
         let text = (lights.to_text(), planned.plan.to_string());
-        report.done = Some(write(output, &text, (request, map.view(), &lights), &lit, watch)?);
+        let made = (&lit, &gloss[..]);
+        report.done = Some(write(output, &text, (request, map.view(), &lights), made, watch)?);
     }
     Ok(report)
 }
@@ -135,7 +139,7 @@ fn write(
     output: &Path,
     (lights_text, plan_text): &(String, String),
     (request, map, lights): (&LightRequest, &MapView<'_>, &Lights),
-    lit: &Lit,
+    (lit, gloss): (&Lit, &[Gloss]),
     watch: &dyn Watch,
 ) -> Result<LightDone, Error> {
     let mut summary = LightSummary {
@@ -170,6 +174,7 @@ fn write(
         lights: lights_text,
         plan: plan_text,
         channels: &channels,
+        gloss: (!gloss.is_empty()).then_some(gloss),
         sky: (!sky.is_empty()).then_some(&sky[..]),
         scale: &lit.scale,
     };
@@ -178,7 +183,7 @@ fn write(
 }
 
 /// Says which map an error is about, where the map is to blame.
-fn of_light(map: &Path, e: LightError) -> Error {
+pub(crate) fn of_light(map: &Path, e: LightError) -> Error {
     match e {
         LightError::Format(e) => Error::artifact(map, e),
         LightError::Query(e) => Error::of_query(map, e),

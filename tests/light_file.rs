@@ -13,6 +13,7 @@ use std::sync::LazyLock;
 
 use fastrand::Rng;
 use pvmap::Error;
+use pvmap::light::Gloss;
 use pvmap::vmap::{FormatError, Kind, LightView, MapView, OctreeView};
 use rayon::prelude::*;
 
@@ -24,8 +25,8 @@ use crate::seal::{Parts, put, reseal_head};
 /// The octree and the map of a small room.
 static ROOM: LazyLock<Bench> = LazyLock::new(room);
 
-/// Sections of a light file with open sky, `sums` among them.
-const N_SECTIONS: usize = 8;
+/// Sections of a light file with gloss and open sky, `sums` among them.
+const N_SECTIONS: usize = 9;
 /// Surfel 0 shines, others reflect some of what they get.
 const EMISSION: f64 = 12.0;
 
@@ -38,8 +39,17 @@ fn row(surfel: u32, channel: usize) -> Row {
     }
 }
 
+/// Surfel 0 has none; what others scatter in blue, mirror and let through is 1.
+fn gloss(surfel: usize) -> Gloss {
+    match surfel {
+        0 => Gloss::default(),
+        i => Gloss { specular: 0.3, transmissive: 0.1, refraction: 1.0 + i as f32 / 128.0 },
+    }
+}
+
 fn of_room(n_channels: usize) -> Invented {
     let mut light = ROOM.with_map("room.vmap", |map| Invented::of(map, n_channels, row));
+    light.gloss = Some((0..light.scale.len()).map(gloss).collect());
     light.sky = Some(light.scale.iter().map(|d| d / 2.0).collect());
     light
 }
@@ -85,17 +95,18 @@ fn format27_what_is_written_is_read() {
                 let b = emission + albedo * irradiance;
                 assert!((f64::from(found[channel].radiosity) - b).abs() <= 1e-6 * b, "{surfel}");
             }
+            assert_eq!(view.gloss(surfel).unwrap(), Some(gloss(surfel as usize)));
             assert_eq!(view.scale(surfel).unwrap(), written.scale[surfel as usize]);
             let sky = view.sky(surfel).unwrap().unwrap();
             assert_eq!(sky, (written.scale[surfel as usize] / 2.0) as f32);
         }
         assert!(view.given(128).is_err() && view.scale(128).is_err(), "no such surfel");
     }
-    let without = Invented { sky: None, ..of_room(1) }.bytes();
+    let without = Invented { gloss: None, sky: None, ..of_room(1) }.bytes();
     let view = LightView::open(&without).unwrap();
     view.verify().unwrap();
-    assert!(!view.has_sky());
-    assert_eq!(view.sky(3), Ok(None));
+    assert!(!view.has_sky() && !view.has_gloss());
+    assert_eq!((view.sky(3), view.gloss(3)), (Ok(None), Ok(None)));
 }
 
 #[test]
@@ -190,6 +201,27 @@ fn format28_values_that_no_surfel_has_are_refused() {
 }
 
 #[test]
+fn format33_gloss_that_no_surfel_has_is_refused() {
+    let [nan, infinite, negative, half] = [f32::NAN, f32::INFINITY, -0.1, 0.5];
+    // 12 bytes a surfel: mirrored, let through, the index of refraction.
+    for (at, values) in [
+        (12 * 5, vec![nan, infinite, negative, 0.301, 2.0]),
+        (12 * 5 + 4, vec![nan, infinite, negative, 0.101]),
+        (12 * 127 + 8, vec![nan, infinite, -1.5, half, 0.999]),
+    ] {
+        for value in values {
+            let file = forged(|parts| put(parts.bytes_mut("gloss"), at, value.to_bits().into(), 4));
+            assert!(refused(&file, &format!("{value} at {at}")).contains("gloss"));
+        }
+    }
+    // 0 stands for 1, and 1e-5 of the sum is left open.
+    for (at, value) in [(12 * 5 + 8, 0.0f32), (12 * 5, 0.300_005), (12 * 5, 0.0)] {
+        let file = forged(|parts| put(parts.bytes_mut("gloss"), at, value.to_bits().into(), 4));
+        verify(&file).unwrap();
+    }
+}
+
+#[test]
 fn format31_flux_that_comes_from_nowhere_is_refused() {
     let flux = |channel: usize, which: usize, value: f64| {
         forged(|parts| {
@@ -232,7 +264,7 @@ fn format27_a_summary_that_is_none_is_refused_on_opening() {
         let file = forged(|parts| put(parts.bytes_mut("summary"), at, value, n_bytes));
         assert!(LightView::open(&file).is_err(), "{value:#x} at {at}");
     }
-    for section in ["given", "found", "sky", "scale"] {
+    for section in ["given", "gloss", "found", "sky", "scale"] {
         let file = forged(|parts| parts.bytes_mut(section).truncate(24 * 5));
         assert!(LightView::open(&file).is_err(), "too few rows of {section}");
     }
@@ -273,6 +305,7 @@ fn f47_a_hostile_light_file_under_right_checksums_never_panics() {
         if let Ok(view) = LightView::open(&hostile) {
             for surfel in 0..view.summary().n_surfels.min(200) {
                 let _ = (view.given(surfel), view.found(surfel), view.sky(surfel));
+                let _ = view.gloss(surfel);
             }
         }
         verify(&hostile).is_err()
@@ -297,6 +330,9 @@ fn what_cannot_be_stored_is_named_and_nothing_is_left() {
         assert_eq!(error.exit_code(), 65);
         assert!(error.to_string().contains(named), "{error}");
     }
+    let mut light = of_room(1);
+    light.gloss.as_mut().unwrap()[7].refraction = 0.5;
+    assert!(light.write(&path).unwrap_err().to_string().contains("gloss of surfel 7"));
     let mut light = of_room(1);
     light.scale[9] = 0.0;
     assert!(light.write(&path).unwrap_err().to_string().contains("scale of surfel 9"));

@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use cli_common::{Bench, Run, ply_header, room};
 use invented::{Invented, Row};
 use pvmap::geometry::PointBatch;
-use pvmap::light::Irradiance;
+use pvmap::light::{Gloss, Irradiance};
 use pvmap::scan::{ReadOptions, Source};
 use pvmap::vmap::MapView;
 
@@ -201,6 +201,49 @@ fn the_exposure_looks_at_what_does_not_shine() {
     let run = bench.line(&line.replace("room.light", "dark.light")).ok();
     assert!(run.stderr.contains("--exposure 1\n"), "{}", run.stderr);
     assert!(png(&bench, "a.png").iter().all(|&p| p == [0; 3]));
+}
+
+#[test]
+fn a_mirror_in_a_picture_shows_what_is_seen_in_it() {
+    let bench = room();
+    // The lower plate mirrors half and scatters nothing, the upper shines.
+    let row = |is_floor: bool, c: usize| match is_floor {
+        true => Row { emission: 0.0, albedo: 0.0, irradiance: 1.0 },
+        false => Row { emission: [1.0, 2.0, 4.0][c], albedo: 0.0, irradiance: 0.0 },
+    };
+    bench.with_map("room.vmap", |map| {
+        let surfels = surfels(map);
+        let is_floor = |id: u32| surfels[id as usize].1[2] > 0.9;
+        let mirror = Gloss { specular: 0.5, ..Gloss::default() };
+        let gloss = |id| if is_floor(id) { mirror } else { Gloss::default() };
+        let light = Invented::of(map, 3, |id, c| row(is_floor(id), c));
+        light.write(&bench.path("plain.light")).unwrap();
+        let gloss = (0..surfels.len() as u32).map(gloss).collect();
+        Invented { gloss: Some(gloss), ..light }.write(&bench.path("room.light")).unwrap();
+    });
+    let line = |light: &str, more: &str| {
+        let camera = "--camera=0,-0.5,0.9,0,0,-1 --fov 20 --size 40x40 --exposure 0.2";
+        bench.line(&format!("render room.vmap --light {light} {camera} -o a.png {more}")).ok()
+    };
+    let run = line("room.light", "");
+    assert!(run.stderr.contains("mirrors: 1600 pixels, 1600 rays"), "{}", run.stderr);
+    let shown = png(&bench, "a.png");
+    // 0.2 of half of 1, 2 and 4 in sRGB, and of π, the sky of radiance 1 past the plate's edge.
+    let is_either = |pixel: &[u8; 3]| [[89, 124, 170], [152; 3]].contains(pixel);
+    assert!(shown.iter().all(is_either) && shown[20] == [152; 3]);
+    // On a lattice a ray in a hundred slips between patches.
+    let n_plate = shown[800..].iter().filter(|pixel| **pixel == [89, 124, 170]).count();
+    assert!(n_plate >= 790, "{n_plate} of 800");
+    for threads in [1, 2, 8] {
+        line("room.light", &format!("--threads {threads}"));
+        assert!(png(&bench, "a.png") == shown, "{threads} threads");
+    }
+    for (light, more) in [("room.light", "--no-mirrors"), ("plain.light", "")] {
+        let run = line(light, more);
+        assert!(!run.stderr.contains("mirrors"), "no ray is followed: {}", run.stderr);
+        assert!(png(&bench, "a.png").iter().all(|&pixel| pixel == [0; 3]));
+    }
+    bench.line("render room.vmap --no-mirrors -o a.png").fails(2, &["--light"]);
 }
 
 #[test]

@@ -195,6 +195,9 @@ fn print(output: &Path, report: &LightReport, stages: &[StageDone]) -> io::Resul
         "  work      {} applications, {} segments to lamps, {} to the sky, {} near pairs",
         work.n_applications, work.n_lamp_segments, work.n_sky_segments, work.n_near_field
     )?;
+    if work.n_photons > 0 {
+        writeln!(out, "            {} photons by way of mirrors and lenses", work.n_photons)?;
+    }
     writeln!(out, "  disk      {}", mib(*output_bytes))?;
     let seconds: f64 = stages.iter().map(|s| s.seconds).sum();
     let peak = stages.iter().map(|s| s.peak_bytes).max().unwrap_or(0);

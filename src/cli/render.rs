@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use pvmap::geometry::Frame;
 use pvmap::query::Map;
 use pvmap::render::{
-    Camera, Clipped, ColorBy, MAX_SIDE_PX, MapSplats, OctreeSplats, Paint, Picture, RenderError,
-    Seen, Source, Style, Values, held_bytes, render,
+    Camera, Clipped, ColorBy, Glossy, MAX_SIDE_PX, MapSplats, OctreeSplats, Paint, Picture,
+    RenderError, Seen, Source, Style, Values, held_bytes, render, render_glossy,
 };
 use pvmap::vmap::container::kind_of;
 use pvmap::vmap::octree::FILE_NAME;
@@ -141,14 +141,9 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
         Some(points) => points.named(path, e),
         None => Error::of_query(path, e),
     };
-    let eye = match args.visible_from {
-        Some(place) => {
-            let (octree, draws_points) = (octree.as_ref(), drawn.is_some());
-            let scan = Scan { map: &map, octree, draws_points };
-            Some(eye::look(args, place, scan, context, of_eye)?)
-        }
-        None => None,
-    };
+    let scan = Scan { map: &map, octree: octree.as_ref(), draws_points: drawn.is_some() };
+    let look = |place| eye::look(args, place, scan, context, of_eye);
+    let eye = args.visible_from.map(look).transpose()?;
     let (of_surfel, of_point);
     let seen = match eye.as_ref().map(|eye| &eye.sees) {
         Some(Sees::Surfels(seen)) => {
@@ -163,14 +158,21 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     };
     let light = light::of(args, view, path)?;
     let lighting = light.as_ref().map(light::Light::lighting);
+    let solid = Map::open(bytes).map_err(|e| Error::of_query(path, e))?.solid();
+    let mirrors = light.as_ref().map(|light| light.mirrors(args, &solid)).transpose()?.flatten();
+    let is_glossy = mirrors.as_ref().map(|mirrors| |surfel| mirrors.is_glossy(surfel));
     let paint = Paint::new(color_by, seen);
-    let paint = match &lighting {
-        Some(lighting) => paint.lit(lighting),
-        None => paint,
-    };
+    let paint = lighting.iter().fold(paint, |paint, light| paint.lit(light));
+    let paint = is_glossy.iter().fold(paint, |paint, of| paint.glossy_where(of));
     let ends = paint.values().map(|values| (values.min, values.max));
     let splats = splats_of(args, view, drawn, paint).map_err(fail)?;
-    let mut picture = draw(args, &*splats, &camera, context).map_err(fail)?;
+    let mut picture = match (&light, &mirrors) {
+        (Some(light), Some(mirrors)) => {
+            let drawn = draw_glossy(args, &*splats, &camera, context).map_err(fail)?;
+            light.look((path, mirrors), &camera, drawn, context)?
+        }
+        _ => draw(args, &*splats, &camera, context).map_err(fail)?,
+    };
     if let Some(eye) = &eye
         && !picture.mark(&camera, eye.place, eye.distance, MARK)
     {
@@ -253,26 +255,51 @@ fn draw(
     camera: &Camera,
     context: &Context,
 ) -> Result<Picture, RenderError> {
+    let style = style_of(args, splats)?;
+    telling(context, 2 * splats.n_splats(), |tell| {
+        render(splats, camera, &style, args.memory, tell)
+    })
+}
+
+fn draw_glossy(
+    args: &Args,
+    splats: &dyn Source,
+    camera: &Camera,
+    context: &Context,
+) -> Result<(Picture, Vec<Glossy>), RenderError> {
+    let style = style_of(args, splats)?;
+    telling(context, 3 * splats.n_splats(), |tell| {
+        render_glossy(splats, camera, &style, args.memory, tell)
+    })
+}
+
+/// Draws as a stage of so many splats gone through.
+fn telling<T>(context: &Context, n: u64, draw: impl FnOnce(Tell<'_>) -> T) -> T {
+    let watch = &context.progress;
+    watch.stage("render", Some(n), "splats");
+    let drawn = draw(&mut |n| {
+        watch.advance(n);
+        !watch.is_stopped()
+    });
+    watch.take_stages();
+    drawn
+}
+
+/// Gets splats gone through, says whether to go on.
+type Tell<'a> = &'a mut dyn FnMut(u64) -> bool;
+
+fn style_of(args: &Args, splats: &dyn Source) -> Result<Style, RenderError> {
     let usual = match args.light {
         // Light is what shades.
         Some(_) => 0.0,
         None if splats.is_gray()? => 0.7,
         None => 0.3,
     };
-    let style = Style {
+    Ok(Style {
         background: args.background,
         cull_back: args.cull == Cull::Back,
         shade: args.shade.unwrap_or(usual),
-    };
-    let watch = &context.progress;
-    watch.stage("render", Some(2 * splats.n_splats()), "splats");
-    let mut tell = |n| {
-        watch.advance(n);
-        !watch.is_stopped()
-    };
-    let picture = render(splats, camera, &style, args.memory, &mut tell)?;
-    watch.take_stages();
-    Ok(picture)
+    })
 }
 
 /// Says which file an error is about, where it is about one: the map, or what is drawn.

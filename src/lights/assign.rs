@@ -7,7 +7,7 @@ use pvmap_query::QueryError;
 use pvmap_vmap::{MapView, Surfel};
 
 use super::parse::SHARE_TOLERANCE;
-use super::rules::{Albedo, Glow, LampRule, Material, Power, Rgb, Selection, Sun, Vector, unit};
+use super::rules::{Albedo, Glow, LampRule, Material, Power, Rgb, Selection, Sun, Vector};
 use super::{Lights, Mark};
 use crate::Error;
 
@@ -82,7 +82,7 @@ impl Lights {
         let rules = &self.rules;
         let sun = rules.sun.iter().map(Sun::lamp);
         let lamps: Vec<Lamp> = rules.lamps.iter().map(LampRule::lamp).chain(sun).collect();
-        let sky = rules.sky.map(|sky| Sky { up: unit(sky.up), ..sky });
+        let sky = self.sky();
         let is_lit = |color: &Rgb| color.iter().any(|&v| v > 0.0);
         let is_sky_lit = sky.is_some_and(|sky| is_lit(&sky.radiance));
         if !emission.iter().any(is_lit)

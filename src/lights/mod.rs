@@ -16,7 +16,8 @@ pub use crate::classes::majority_classes;
 use crate::config::read_text;
 use crate::{Error, lights::table::Fault};
 pub use assign::Assigned;
-use rules::{Albedo, Rules, Selection};
+use pvmap_light::Sky;
+use rules::{Albedo, Rules, Selection, unit};
 
 /// A `lights.toml` with all that one may hold, and what it means.
 pub const EXAMPLE: &str = include_str!("example.toml");
@@ -89,6 +90,11 @@ impl Lights {
             Albedo::Scan { exposure, .. } => exposure,
             _ => 1.0,
         }
+    }
+
+    /// Gives the sky, its up of length 1.
+    pub fn sky(&self) -> Option<Sky> {
+        self.rules.sky.map(|sky| Sky { up: unit(sky.up), ..sky })
     }
 
     /// Says whether a rule selects by class, which a map does not have: [`majority_classes`] does.

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use pvmap::light::Gloss;
 use pvmap::vmap::{LightSummary, MapView};
 use pvmap::{Error, LightChannel, LightContent, Quiet, write_light};
 
@@ -17,6 +18,7 @@ pub struct Row {
 /// Light by surfel and channel.
 pub struct Invented {
     pub channels: Vec<Vec<Row>>,
+    pub gloss: Option<Vec<Gloss>>,
     pub sky: Option<Vec<f64>>,
     pub scale: Vec<f64>,
     pub summary: LightSummary,
@@ -31,6 +33,7 @@ impl Invented {
         let balance = |c| if c < n_channels { [8.0, 5.0, 3.0, 0.0] } else { [0.0; 4] };
         Invented {
             channels: (0..n_channels).map(|c| (0..n).map(|s| row(s, c)).collect()).collect(),
+            gloss: None,
             sky: None,
             scale: (0..n).map(|s| 1.0 - f64::from(s) / 1e6).collect(),
             summary: LightSummary {
@@ -68,6 +71,7 @@ impl Invented {
             lights: &self.lights,
             plan: &self.plan,
             channels: &channels,
+            gloss: self.gloss.as_deref(),
             sky: self.sky.as_deref(),
             scale: &self.scale,
         };

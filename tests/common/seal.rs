@@ -26,7 +26,7 @@ impl Parts {
         let names = match kind {
             Kind::Map => section_names(Profile::Oriented, true),
             Kind::Octree => pvmap::vmap::octree::SECTIONS.to_vec(),
-            Kind::Light => pvmap::vmap::light::section_names(true),
+            Kind::Light => pvmap::vmap::light::section_names(true, true),
         };
         let known = |s: &Section| names.iter().copied().find(|&name| name == s.name);
         let rows = file.sections().iter().filter_map(|s| Some((known(s)?, s)));

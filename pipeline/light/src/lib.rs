@@ -6,7 +6,8 @@
 //! [`Exchange`] applies G as a whole, pair by pair (the oracle) or by the fast multipole method
 //! (`fmm`), for which links are just right: under a link the exchange is smooth.
 //! [`Balanced`] scales G so that no element gets more light than there is, [`solve`] finds B;
-//! [`Irradiance`] gives places between elements theirs.
+//! [`Irradiance`] gives places between elements theirs. What mirrors or lets light through throws
+//! it by photons, and [`Glimpses`] follows rays of an eye through it.
 //!
 //! The room opens no file, prints nothing and never asks whether two elements see each other: a
 //! pair without a link exchanges nothing. Results have the same bits for any number of threads.
@@ -19,6 +20,7 @@ mod element;
 mod error;
 mod exchange;
 mod fmm;
+mod glimpse;
 mod hierarchy;
 mod incident;
 mod interpolate;
@@ -28,6 +30,7 @@ mod lighting;
 mod lists;
 mod material;
 mod near_field;
+mod optics;
 mod passes;
 mod plan;
 mod planner;
@@ -44,11 +47,14 @@ pub use balance::{Balanced, Scaling, Scene};
 pub use element::{Element, Elements};
 pub use error::LightError;
 pub use exchange::{Exchange, ExchangeStats, Interaction};
+pub use glimpse::{Glimpse, Glimpses, SeenAt};
 pub use hierarchy::{Hierarchy, Links, Span, Subtree};
 pub use interpolate::Irradiance;
 pub use kernel::Kernel;
 pub use lamp::{Lamp, Sky};
 pub use lighting::{LightOptions, Lighting, Lit, LitChannel, Planned, Work};
-pub use material::{Channel, Gloss, Materials};
+pub use material::{Channel, Materials};
 pub use plan::{Decision, Effect, Plan, Wishes};
+pub use pvmap_vmap::light::Gloss;
 pub use solve::{FluxBalance, Method, Operator, Solution, SolveOptions, solve};
+pub use specular::ThrownFlux;

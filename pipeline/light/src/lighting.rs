@@ -14,7 +14,7 @@ use crate::lamp::{Lamp, Sky};
 use crate::material::{Channel, Materials};
 use crate::plan::{Effect, Plan, Wishes};
 use crate::solve::{FluxBalance, Operator, Solution, SolveOptions, solve};
-use crate::specular::Thrown;
+use crate::specular::{Thrown, ThrownFlux};
 use crate::sum::sum;
 
 /// What is lit, and how well.
@@ -106,6 +106,8 @@ pub struct Lit {
     pub channels: Vec<LitChannel>,
     /// The share of open sky over each element; empty where it was not called for.
     pub open_sky: Vec<f32>,
+    /// What mirrors and lenses sent on, by channel; empty where nothing was.
+    pub thrown: Vec<ThrownFlux>,
     /// The scaling of the exchange, one number an element; 1 where nothing was exchanged.
     pub scale: Vec<f64>,
     /// The order of the grids; none where pairs were taken one by one, or not at all.
@@ -191,6 +193,7 @@ impl<'a> Lighting<'a> {
         let mut lit = Lit {
             channels: Vec::new(),
             open_sky: open.share,
+            thrown: Vec::new(),
             scale: vec![1.0; n],
             order: None,
             operator_error: 0.0,
@@ -217,13 +220,15 @@ impl<'a> Lighting<'a> {
             self.solve_all(&scene, &incident, &mut lit, watch)?;
         }
         for (index, channel) in lit.channels.iter_mut().enumerate() {
-            let of = |values: &[f64]| values.get(index).copied().unwrap_or(0.0);
+            let flux = thrown.flux.get(index).copied().unwrap_or_default();
+            let outside = from_outside.get(index).copied().unwrap_or(0.0);
             // What was thrown is counted where it came from, and glossy elements did not keep it.
-            channel.balance.emitted = self.flux_of(&channel.given.emission) + of(&from_outside);
-            channel.balance.absorbed -= of(&thrown.resent);
-            channel.balance.escaped += of(&thrown.escaped);
+            channel.balance.emitted = self.flux_of(&channel.given.emission) + outside;
+            channel.balance.absorbed -= flux.resent;
+            channel.balance.escaped += flux.escaped;
         }
         lit.work.n_photons = thrown.n_photons;
+        lit.thrown = thrown.flux;
         Ok(lit)
     }
 

@@ -1,5 +1,7 @@
 //! What surfaces do with light: what they emit, and what becomes of what arrives.
 
+use pvmap_vmap::light::Gloss;
+
 use crate::element::Elements;
 use crate::error::LightError;
 
@@ -10,17 +12,6 @@ pub struct Channel {
     pub emission: Vec<f64>,
     /// Share of the light that arrives which each reflects in all directions, ρ or kd, 0…1.
     pub albedo: Vec<f64>,
-}
-
-/// What a surface mirrors and lets through, besides what it scatters.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Gloss {
-    /// Share that is mirrored, ks.
-    pub specular: f32,
-    /// Share that goes through, refracted, kt.
-    pub transmissive: f32,
-    /// Index of refraction behind the surface, at least 1; 1 bends nothing. 0 stands for 1.
-    pub refraction: f32,
 }
 
 /// The materials of all elements.
@@ -70,7 +61,7 @@ impl Materials {
 
     /// Says whether anything mirrors or lets light through.
     pub fn has_gloss(&self) -> bool {
-        self.gloss.iter().any(|gloss| gloss.specular > 0.0 || gloss.transmissive > 0.0)
+        self.gloss.iter().any(Gloss::is_any)
     }
 }
 

@@ -68,6 +68,8 @@ struct Shining {
     flux: f64,
     of_lamps: f64,
     of_sky: f64,
+    /// Of the flux of lamps and sky what mirrors and lenses send on.
+    sent_on: f64,
     /// By element: whether it emits, or a lamp or the sky may reach it.
     is_lit: Vec<bool>,
     /// The largest exitance that is not reflected twice, by what may arrive from outside.
@@ -161,8 +163,14 @@ impl Lighting<'_> {
             true => None,
             false => Some(air.lamps(&self.lamps, false, watch)?.irradiance),
         };
-        let mut shining =
-            Shining { flux: 0.0, of_lamps: 0.0, of_sky: 0.0, is_lit: Vec::new(), most: 0.0 };
+        let mut shining = Shining {
+            flux: 0.0,
+            of_lamps: 0.0,
+            of_sky: 0.0,
+            sent_on: 0.0,
+            is_lit: Vec::new(),
+            most: 0.0,
+        };
         let radiance = self.sky.map_or([0.0; 3], |sky| sky.radiance);
         shining.is_lit = vec![radiance.iter().any(|&l| l > 0.0); areas.len()];
         for (index, channel) in self.materials.channels.iter().enumerate() {
@@ -174,6 +182,9 @@ impl Lighting<'_> {
             shining.of_sky += sum(ids().map(|id| areas[id] * from_sky));
             for id in ids() {
                 let outside = from_lamps(id) + from_sky;
+                let gloss = self.materials.gloss.get(id).copied().unwrap_or_default();
+                let taken = f64::from(gloss.specular + gloss.transmissive);
+                shining.sent_on += areas[id] * outside * taken;
                 shining.is_lit[id] |= channel.emission[id] > 0.0 || outside > 0.0;
                 let exitance = channel.emission[id] + channel.albedo[id] * outside;
                 shining.most = shining.most.max(exitance);
@@ -353,7 +364,15 @@ impl Lighting<'_> {
         let taken = sum((0..areas.len())
             .map(|id| areas[id] * f64::from(gloss[id].specular + gloss[id].transmissive)));
         let at_most = |exitance: f64| 3.0 * taken * exitance / shining.flux;
-        let link = first_link(self.map.view(), hierarchy, &shining.is_lit, &is_glossy)?;
+        let links = self.map.view();
+        let link = match first_link(links, hierarchy, &shining.is_lit, &is_glossy)? {
+            // A lamp may shine on a mirror and on nothing that sees it.
+            None => {
+                let both = is_glossy.iter().zip(&shining.is_lit).map(|(a, b)| *a && *b);
+                first_link(links, hierarchy, &both.collect::<Vec<_>>(), &vec![true; areas.len()])?
+            }
+            link => link,
+        };
         let rho = self.max_albedo();
         let worth = self.options.worth;
         let (caustics, again) = match link {
@@ -362,7 +381,8 @@ impl Lighting<'_> {
                 (Call::off(why), Call::off(why))
             }
             Some((a, b)) => {
-                let lit = at_most(shining.most).min(1.0);
+                let from_outside = shining.sent_on / shining.flux;
+                let lit = (at_most(shining.most) + from_outside).min(1.0);
                 let reflected = at_most(shining.most * rho / (1.0 - rho).max(1e-9));
                 let why = format!("nodes {a} and {b} are linked: one lit, one glossy");
                 (

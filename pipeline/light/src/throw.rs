@@ -1,10 +1,13 @@
 //! Light that is thrown, reflected and thrown again.
 
+use std::sync::Arc;
+
 use pvmap_store::Watch;
 
 use crate::error::LightError;
 use crate::hierarchy::Hierarchy;
 use crate::lighting::{Lighting, Lit, Solved};
+use crate::optics::Optics;
 use crate::plan::Effect;
 use crate::specular::{Shining, Specular, Thrown};
 use crate::surroundings::Surroundings;
@@ -28,28 +31,31 @@ impl Lighting<'_> {
         watch: &dyn Watch,
     ) -> Result<Thrown, LightError> {
         let mut thrown = Thrown::default();
-        let Some(balanced) = scene.balanced else { return Ok(thrown) };
         let hierarchy = Hierarchy::of_map(self.map.view())?;
-        let surroundings = Surroundings::new(&self.elements, hierarchy);
+        let surroundings = Surroundings::new(Arc::clone(&self.elements), hierarchy);
         // Photons err as one over the root of their number.
         let n_photons = (PHOTONS / (self.options.error * self.options.error)) as u64;
-        let specular = Specular {
+        let optics = Optics {
             map: self.map,
             elements: &self.elements,
             gloss: &self.materials.gloss,
-            balanced,
             surroundings: &surroundings,
             refracts: scene.plan.is_on(Effect::Refraction),
+        };
+        let specular = Specular {
+            optics,
+            balanced: scene.balanced,
             n_photons: n_photons.clamp(MIN_PHOTONS, MAX_PHOTONS),
         };
         let n_glossy = specular.glossy().len() as u64;
         let mut sent: Vec<Vec<f64>> = scene.channels.iter().map(|c| c.emission.clone()).collect();
+        let mut most = 0.0;
         if scene.plan.is_on(Effect::Caustics) {
             watch.stage("caustics", Some(n_glossy), "surfels");
             let shining = Shining { exitance: &sent, lamps: &self.lamps };
-            thrown.add(specular.pass(&shining, watch)?, incident);
+            thrown.add(specular.pass(&shining, &mut most, watch)?, incident);
         }
-        if !scene.plan.is_on(Effect::DiffuseSpecularDiffuse) {
+        if !scene.plan.is_on(Effect::DiffuseSpecularDiffuse) || scene.balanced.is_none() {
             return Ok(thrown);
         }
         for _ in 0..MAX_ROUNDS {
@@ -63,8 +69,9 @@ impl Lighting<'_> {
                 })
                 .collect();
             watch.stage("caustics", Some(n_glossy), "surfels");
-            let more = specular.pass(&Shining { exitance: &new, lamps: &[] }, watch)?;
-            let resent: f64 = more.resent.iter().sum();
+            let shining = Shining { exitance: &new, lamps: &[] };
+            let more = specular.pass(&shining, &mut most, watch)?;
+            let resent: f64 = more.flux.iter().map(|flux| flux.resent).sum();
             thrown.add(more, incident);
             lit.channels.iter().zip(&mut sent).for_each(|(lit, sent)| {
                 sent.clone_from(&lit.exitance);

@@ -3,7 +3,7 @@
 use pvmap_geometry::Frame;
 
 use crate::error::RenderError;
-use crate::vector::{Vector, cross, direction, dot, sub};
+use crate::vector::{Vector, add_scaled, cross, direction, dot, sub};
 
 /// The largest side of a picture.
 pub const MAX_SIDE_PX: u32 = 1 << 14;
@@ -120,6 +120,23 @@ impl Camera {
     /// Gives the picture's size.
     pub fn size(&self) -> Size {
         self.size
+    }
+
+    /// Gives the place, world units, that lies so many grid steps ahead of the eye in the middle of
+    /// a pixel, and the direction, of any length, in which it is looked at.
+    pub fn ray(&self, [x, y]: [u32; 2], depth: f32) -> ([f64; 3], [f64; 3]) {
+        let half = [self.size.width_px, self.size.height_px].map(|side| f64::from(side) / 2.0);
+        let offset = [f64::from(x) + 0.5 - half[0], f64::from(y) + 0.5 - half[1]];
+        let slope = offset.map(|px| px / self.focal_px);
+        let depth = f64::from(depth);
+        let across =
+            |by: f64| [0, 1, 2].map(|i| (self.right[i] * slope[0] + self.down[i] * slope[1]) * by);
+        let (off, direction) = match self.is_perspective {
+            true => (across(depth), add_scaled(across(1.0), self.ahead, 1.0)),
+            false => (across(1.0), self.ahead),
+        };
+        let place = add_scaled(add_scaled(self.eye, off, 1.0), self.ahead, depth);
+        (add_scaled(self.origin, place, self.unit), direction)
     }
 
     /// Gives pixels a unit of slope (perspective) or a grid step (orthographic).

@@ -1,9 +1,10 @@
-//! The two passes over the discs, band of rows by band of rows.
+//! The passes over the discs, band of rows by band of rows.
 //!
 //! A block of splats is read and projected in parallel, then every band draws the discs that touch
 //! it, in their order: the result depends on no number of threads. The first pass keeps the least
 //! depth at each pixel, the second adds up the colours of the discs within a tolerance of it. What
 //! fades out beyond the rim of a nearer surface is kept apart and laid over what is behind it.
+//! A third pass, on demand, finds the pixels of what mirrors or lets light through.
 //! Projected discs are kept between the passes as far as the memory goes; the others are read and
 //! projected again.
 
@@ -11,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::camera::{Camera, Size};
 use crate::color::{Rgb, encode, srgb};
-use crate::disc::{Disc, Look, Row};
+use crate::disc::{Disc, Look, NOT_GLOSSY, Row};
 use crate::error::RenderError;
 use crate::picture::Picture;
 use crate::source::{CHUNK_SPLATS, Source, Splat, chunks};
@@ -47,6 +48,12 @@ pub fn held_bytes(size: Size) -> u64 {
     n_pixels * of_pixel as u64 + BLOCK_SPLATS * of_splat as u64
 }
 
+/// Gives the bytes that a picture of a size holds while it is drawn by [`render_glossy`], at most.
+pub fn held_bytes_glossy(size: Size) -> u64 {
+    let n_pixels = u64::from(size.width_px) * u64::from(size.height_px);
+    held_bytes(size) + n_pixels * (size_of::<GlossyPixel>() + size_of::<Glossy>()) as u64
+}
+
 /// Draws a picture, holding about `memory_bytes` or, where that is more, [`held_bytes`]; `tell`
 /// gets the number of splats gone through, in all twice as many as there are, and says whether to
 /// go on. The picture is the same for any memory.
@@ -60,6 +67,38 @@ pub fn render(
     memory_bytes: u64,
     tell: &mut dyn FnMut(u64) -> bool,
 ) -> Result<Picture, RenderError> {
+    let passes = [Band::sound, Band::blend];
+    Ok(draw(&passes, source, (camera, style), memory_bytes, tell)?.0)
+}
+
+/// Draws a picture as [`render`] does, and finds the pixels at which what is nearest mirrors or
+/// lets light through, in their order; `tell` gets three times the number of splats.
+///
+/// # Errors
+/// As there.
+pub fn render_glossy(
+    source: &dyn Source,
+    camera: &Camera,
+    style: &Style,
+    memory_bytes: u64,
+    tell: &mut dyn FnMut(u64) -> bool,
+) -> Result<(Picture, Vec<Glossy>), RenderError> {
+    let passes = [Band::sound, Band::blend, Band::find_glossy];
+    let (picture, bands) = draw(&passes, source, (camera, style), memory_bytes, tell)?;
+    Ok((picture, bands.iter().flat_map(Band::glossy).collect()))
+}
+
+/// What a band does with a disc.
+type Pass = fn(&mut Band, &Disc);
+
+/// Goes through the splats once a pass.
+fn draw(
+    passes: &[Pass],
+    source: &dyn Source,
+    (camera, style): (&Camera, &Style),
+    memory_bytes: u64,
+    tell: &mut dyn FnMut(u64) -> bool,
+) -> Result<(Picture, Vec<Band>), RenderError> {
     let size = camera.size();
     let (width, height) = (size.width_px as usize, size.height_px as usize);
     let mut bands: Vec<Band> =
@@ -68,13 +107,17 @@ pub fn render(
     let n_bands = bands.len();
     let read = |range| Chunk::read(source, range, camera, look, n_bands);
     let mut kept = Vec::new();
-    let mut spare_bytes = memory_bytes.saturating_sub(held_bytes(size));
-    for pass in [Band::sound as fn(&mut Band, &Disc), Band::blend] {
+    let held_bytes = if passes.len() > 2 { held_bytes_glossy(size) } else { held_bytes(size) };
+    let mut spare_bytes = memory_bytes.saturating_sub(held_bytes);
+    let last = passes.len() - 1;
+    for (round, &pass) in passes.iter().enumerate() {
         let is_first = kept.is_empty();
         for (i, first) in (0..source.n_splats()).step_by(BLOCK_SPLATS as usize).enumerate() {
             let block = first..source.n_splats().min(first + BLOCK_SPLATS);
             let n_read = block.end - block.start;
-            let drawn: Vec<Chunk> = match kept.get_mut(i).and_then(Option::take) {
+            let held = kept.get_mut(i).and_then(Option::take);
+            let is_kept = held.is_some();
+            let drawn: Vec<Chunk> = match held {
                 Some(drawn) => drawn,
                 None => chunks(block).into_par_iter().map(read).collect::<Result<_, _>>()?,
             };
@@ -84,6 +127,8 @@ pub fn render(
                 let rest = spare_bytes.checked_sub(n_bytes);
                 spare_bytes = rest.unwrap_or(spare_bytes);
                 kept.push(rest.is_some().then_some(drawn));
+            } else if is_kept && round < last {
+                kept[i] = Some(drawn);
             }
             if !tell(n_read) {
                 return Err(RenderError::Stopped);
@@ -96,7 +141,7 @@ pub fn render(
         .rows_mut(BAND_ROWS)
         .zip(bands.par_iter())
         .for_each(|((pixels, depths), band)| band.develop(background, pixels, depths));
-    Ok(picture)
+    Ok((picture, bands))
 }
 
 /// Some discs, and which of them touch each band.
@@ -154,6 +199,30 @@ impl Chunk {
     }
 }
 
+/// A pixel at which what is nearest mirrors or lets light through.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Glossy {
+    /// Its column and row, from the upper left.
+    pub pixel: [u32; 2],
+    /// The surfel of the splat that weighs most there.
+    pub surfel: u32,
+    /// How far ahead of the eye the surface is, grid steps: see [`Camera::ray`].
+    pub depth: f32,
+    /// Share of the pixel's colour that is of such splats, more than 0 to 1.
+    pub share: f32,
+}
+
+/// What has been added up of glossy splats at a pixel.
+#[derive(Debug, Clone, Copy)]
+struct GlossyPixel {
+    weight: f32,
+    /// Depths, weighed.
+    depth: f32,
+    /// The surfel of the splat that weighs most, and how much.
+    surfel: u32,
+    most: f32,
+}
+
 /// Colours weighed and added up.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sum {
@@ -173,6 +242,23 @@ impl Sum {
     fn mean(&self) -> Rgb {
         self.color.map(|v| v / self.weight)
     }
+}
+
+impl GlossyPixel {
+    fn add(&mut self, disc: &Disc, depth: f32, weight: f32) {
+        self.weight += weight;
+        self.depth += weight * depth;
+        if weight > self.most {
+            (self.surfel, self.most) = (disc.glossy, weight);
+        }
+    }
+}
+
+/// Gives what a disc weighs where it has such a share.
+#[inline(always)]
+fn weight_of(disc: &Disc, share2: f32) -> f32 {
+    let inner = 1.0 - share2;
+    (inner * inner + RIM_WEIGHT) * disc.weight
 }
 
 /// What has been added up for a pixel.
@@ -198,6 +284,8 @@ struct Band {
     /// The greatest of them in each tile, as of the last block.
     tiles: Vec<f32>,
     pixels: Vec<Pixel>,
+    /// Of each pixel; empty where nothing is glossy.
+    glossy: Vec<GlossyPixel>,
 }
 
 impl Band {
@@ -208,11 +296,11 @@ impl Band {
         let corner = [width, height].map(|side| 0.5 - side as f32 / 2.0);
         let (depths, pixels) = (vec![f32::INFINITY; n], vec![Pixel::default(); n]);
         let tiles = vec![f32::INFINITY; width.div_ceil(TILE_COLUMNS)];
-        Band { first_row, n_rows, width, corner, depths, tiles, pixels }
+        Band { first_row, n_rows, width, corner, depths, tiles, pixels, glossy: Vec::new() }
     }
 
     /// Draws a block of discs in a pass.
-    fn draw(&mut self, drawn: &[Chunk], pass: fn(&mut Band, &Disc)) {
+    fn draw(&mut self, drawn: &[Chunk], pass: Pass) {
         let band = self.first_row / BAND_ROWS;
         drawn.iter().flat_map(|chunk| chunk.of_band(band)).for_each(|disc| pass(self, disc));
         let (depths, width) = (&self.depths, self.width);
@@ -274,8 +362,7 @@ impl Band {
             }
             let share2 = row.share2(dx, farther);
             if share2 <= 1.0 {
-                let inner = 1.0 - share2;
-                pixel.surface.add(disc.color, (inner * inner + RIM_WEIGHT) * disc.weight);
+                pixel.surface.add(disc.color, weight_of(disc, share2));
             } else if at + 2.0 * disc.tolerance < *depth {
                 // Nearer than the nearest surface by more than it is thick: an edge before it.
                 let share = row.fringe(dx, farther);
@@ -285,6 +372,47 @@ impl Band {
                 }
             }
         });
+    }
+
+    /// Third pass: which surfel does one look into?
+    fn find_glossy(&mut self, disc: &Disc) {
+        if disc.glossy == NOT_GLOSSY || self.is_behind(disc, disc.nearest()) {
+            return;
+        }
+        let nothing = GlossyPixel { weight: 0.0, depth: 0.0, surfel: NOT_GLOSSY, most: 0.0 };
+        self.glossy.resize(self.pixels.len(), nothing);
+        let ([top, bottom], [left, right]) =
+            (disc.rows.map(usize::from), disc.columns.map(usize::from));
+        for y in top.max(self.first_row)..bottom.min(self.first_row + self.n_rows) {
+            let row = disc.row(y as f32 + self.corner[1]);
+            for x in left..right {
+                let (i, dx) =
+                    ((y - self.first_row) * self.width + x, row.offset(x as f32 + self.corner[0]));
+                let farther = row.farther(dx);
+                let (at, share2) = (row.depth(dx, farther), row.share2(dx, farther));
+                if at <= self.depths[i] && share2 <= 1.0 {
+                    self.glossy[i].add(disc, at, weight_of(disc, share2));
+                }
+            }
+        }
+    }
+
+    /// Lists the pixels at which what is nearest is glossy.
+    fn glossy(&self) -> impl Iterator<Item = Glossy> {
+        let found = (0..).zip(&self.glossy).filter(|(_, found)| found.surfel != NOT_GLOSSY);
+        found.map(|(i, found): (usize, &GlossyPixel)| Glossy {
+            pixel: [(i % self.width) as u32, (self.first_row + i / self.width) as u32],
+            surfel: found.surfel,
+            depth: found.depth / found.weight,
+            share: self.share_of(i, found),
+        })
+    }
+
+    /// Gives the share of a pixel's colour that is of glossy splats: not of others on the same
+    /// surface, nor of what fades out in front.
+    fn share_of(&self, i: usize, found: &GlossyPixel) -> f32 {
+        let pixel = &self.pixels[i];
+        (found.weight / pixel.surface.weight).min(1.0) * (1.0 - pixel.covered)
     }
 
     /// Turns sums into colours: three bytes a pixel.

@@ -59,6 +59,8 @@ pub(crate) struct Disc {
     pub(crate) color: Rgb,
     /// What its colour weighs among those of the same surface.
     pub(crate) weight: f32,
+    /// The surfel, where that mirrors or lets light through; else [`NOT_GLOSSY`].
+    pub(crate) glossy: u32,
     /// What it is projected about, its middle as a rule: pixels from the middle of the picture.
     offset_px: [f32; 2],
     /// Depth there, grid steps.
@@ -79,6 +81,9 @@ pub(crate) struct Disc {
     /// 1 over the square of the spot's radius.
     spot: f32,
 }
+
+/// There are fewer surfels.
+pub(crate) const NOT_GLOSSY: u32 = u32::MAX;
 
 /// From and to without.
 type Span = [u16; 2];
@@ -133,6 +138,7 @@ impl Disc {
             tolerance: splat.noise.max((1.5 * step) as f32),
             color: splat.color.map(|v| v * light),
             weight: (cosine * cosine).max(MIN_WEIGHT) as f32,
+            glossy: splat.glossy.unwrap_or(NOT_GLOSSY),
             offset_px: seen.offset_px.map(|v| v as f32),
             depth: depth as f32,
             reach: (outline.reach * if is_at_middle { 1.0 } else { 2.0 }) as f32,
@@ -469,8 +475,9 @@ mod tests {
         let look = Look { cull_back: false, shade: 0.0 };
         let at = |x: f32, shape| {
             let (centre, normal) = ([x, 1001.0, 1000.0], [1.0, 0.0, 0.0]);
+            let (color, noise) = ([1.0; 3], 1.0);
             let splat =
-                Splat { centre, normal, shape, two_sided: true, color: [1.0; 3], noise: 1.0 };
+                Splat { centre, normal, shape, two_sided: true, color, noise, glossy: None };
             Disc::of(&splat, &camera, look)
         };
         for shape in [Shape::Round(5.0), Shape::Box([[-3.0; 3], [3.0; 3]])] {

@@ -100,6 +100,7 @@ impl Source for MapSplats<'_> {
                 noise: half_spacing * NOISE_HALF_SPACINGS,
                 two_sided: surfel.two_sided,
                 color: self.paint.color(&sample),
+                glossy: self.paint.glossy(Some(id)),
             });
         }
         Ok(())

@@ -101,12 +101,12 @@ impl Source for OctreeSplats<'_> {
             let bin = point.key.bin() as i8;
             let place = point.key.g;
             let sample = Sample { surfel, point: Some(index), place, scanned, normal, bin };
-            let color = self.paint.color(&sample);
+            let (color, glossy) = (self.paint.color(&sample), self.paint.glossy(surfel));
             places.push(place);
             let centre = place.map(|v| v as f32);
             let two_sided = !point.key.oriented;
             let shape = Shape::Round(1.0);
-            out.push(Splat { centre, normal, shape, noise: 1.0, two_sided, color });
+            out.push(Splat { centre, normal, shape, noise: 1.0, two_sided, color, glossy });
         }
         let half_spacings = half_spacings(&places);
         for (i, splat) in out[first..].iter_mut().enumerate() {

@@ -18,12 +18,16 @@ pub enum Seen<'a> {
 /// Gives a surfel, or a point of a surfel with that surfel's id, the colour that light gives it.
 pub type ColorOf<'a> = &'a (dyn Fn(u32, &Sample) -> Rgb + Sync);
 
+/// Says of a surfel whether it mirrors or lets light through.
+pub type IsGlossy<'a> = &'a (dyn Fn(u32) -> bool + Sync);
+
 /// Colours surfels and points.
 #[derive(Clone)]
 pub struct Paint<'a> {
     color_by: ColorBy,
     seen: Option<Seen<'a>>,
     lighting: Option<ColorOf<'a>>,
+    glossy: Option<IsGlossy<'a>>,
 }
 
 /// What is known of a surfel or a point.
@@ -52,12 +56,17 @@ impl std::fmt::Debug for Paint<'_> {
 impl<'a> Paint<'a> {
     /// Colours by something; what is `seen` is violet.
     pub fn new(color_by: ColorBy, seen: Option<Seen<'a>>) -> Paint<'a> {
-        Paint { color_by, seen, lighting: None }
+        Paint { color_by, seen, lighting: None, glossy: None }
     }
 
     /// Shows light, whatever it coloured by; what is `seen` is violet still.
     pub fn lit(self, lighting: ColorOf<'a>) -> Paint<'a> {
         Paint { lighting: Some(lighting), ..self }
+    }
+
+    /// Marks what mirrors or lets light through, for [`crate::render_glossy`].
+    pub fn glossy_where(self, glossy: IsGlossy<'a>) -> Paint<'a> {
+        Paint { glossy: Some(glossy), ..self }
     }
 
     /// Gives the numbers that are coloured, if it is numbers.
@@ -87,6 +96,11 @@ impl<'a> Paint<'a> {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Gives a surfel back that mirrors or lets light through.
+    pub(crate) fn glossy(&self, surfel: Option<u32>) -> Option<u32> {
+        surfel.filter(|&id| self.glossy.is_some_and(|is_glossy| is_glossy(id)))
     }
 
     /// Gives the colour.

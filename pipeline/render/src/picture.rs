@@ -5,7 +5,7 @@ use std::io::Write;
 use rayon::prelude::*;
 
 use crate::camera::{Camera, Size};
-use crate::color::{encode, ramp};
+use crate::color::{Rgb, encode, ramp, srgb};
 use crate::error::RenderError;
 use crate::font::{ADVANCE, ROWS, glyph};
 
@@ -55,6 +55,14 @@ impl Picture {
     /// Says whether anything of the scan is at a pixel, its soft edges aside.
     pub fn is_covered(&self, x: u32, y: u32) -> bool {
         self.depths[y as usize * self.size.width_px as usize + x as usize].is_finite()
+    }
+
+    /// Adds linear light to a pixel.
+    pub fn add_light(&mut self, [x, y]: [u32; 2], light: Rgb) {
+        let at = 3 * (y as usize * self.size.width_px as usize + x as usize);
+        let own = srgb(self.pixel(x, y));
+        let sum = [0, 1, 2].map(|i| (own[i] + light[i]).clamp(0.0, 1.0));
+        self.rgb[at..at + 3].copy_from_slice(&encode(sum));
     }
 
     /// Marks a place of the world with a dot, or with a ring where it is hidden: where it lies

@@ -27,6 +27,8 @@ pub struct Splat {
     pub two_sided: bool,
     /// In linear light, 0…1.
     pub color: Rgb,
+    /// The surfel it belongs to, where that mirrors or lets light through.
+    pub glossy: Option<u32>,
 }
 
 /// What a splat cuts out of its plane.

@@ -48,7 +48,7 @@ fn disc(centre: [f32; 3], normal: [f32; 3], radius: f32, color: [u8; 3]) -> Spla
     let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
     let normal = if length > 0.0 { normal.map(|v| v / length) } else { normal };
     let (shape, noise) = (Shape::Round(radius), radius * 2.0 / 3.0);
-    Splat { centre, normal, shape, noise, two_sided: false, color: srgb(color) }
+    Splat { centre, normal, shape, noise, two_sided: false, color: srgb(color), glossy: None }
 }
 
 fn draw(splats: &[Splat], camera: &Camera, style: &Style) -> Picture {

@@ -7,15 +7,19 @@ use crate::error::FormatError;
 use crate::map::{record, single};
 use crate::records::Record;
 
-/// The sections of every light file in file order, without `sky` and `sums`.
+/// The sections of every light file in file order, without `gloss`, `sky` and `sums`.
 const SECTIONS: [&str; 6] = ["summary", "lights", "plan", "given", "found", "scale"];
+
+/// The section between `given` and `found` where something mirrors or lets light through. [F-33]
+const GLOSS_SECTION: &str = "gloss";
 
 /// The section between `found` and `scale` where it was computed. [F-29]
 const SKY_SECTION: &str = "sky";
 
 /// Names the sections of a light file in file order, without `sums`.
-pub fn section_names(has_sky: bool) -> Vec<&'static str> {
+pub fn section_names(has_gloss: bool, has_sky: bool) -> Vec<&'static str> {
     let with = |name| match name {
+        "found" if has_gloss => vec![GLOSS_SECTION, name],
         "scale" if has_sky => vec![SKY_SECTION, name],
         _ => vec![name],
     };
@@ -138,6 +142,49 @@ impl Record for Given {
     }
 }
 
+/// What a surfel mirrors and lets through, besides what it scatters. [F-33]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Gloss {
+    /// Share that is mirrored, ks.
+    pub specular: f32,
+    /// Share that goes through, refracted, kt.
+    pub transmissive: f32,
+    /// Index of refraction behind the surface, at least 1; 1 bends nothing. 0 stands for 1.
+    pub refraction: f32,
+}
+
+/// By how much the shares of a surfel may be above 1 in all: they are rounded to binary32. [F-33]
+const SHARE_ROUNDING: f64 = 1e-5;
+
+impl Gloss {
+    /// Says whether anything is mirrored or let through.
+    pub fn is_any(&self) -> bool {
+        self.specular > 0.0 || self.transmissive > 0.0
+    }
+
+    /// Says whether it leaves room for what is scattered.
+    fn fits(&self, given: &[Given; 3]) -> bool {
+        let most = given.iter().map(|given| f64::from(given.albedo)).fold(0.0, f64::max);
+        most + f64::from(self.specular) + f64::from(self.transmissive) <= 1.0 + SHARE_ROUNDING
+    }
+}
+
+impl Record for Gloss {
+    const BYTES: usize = 12;
+
+    fn write(&self, w: &mut FieldWriter<'_>) {
+        [self.specular, self.transmissive, self.refraction].into_iter().for_each(|v| w.f32(v));
+    }
+
+    fn read(r: &mut FieldReader<'_>) -> Option<Gloss> {
+        let gloss = Gloss { specular: r.f32(), transmissive: r.f32(), refraction: r.f32() };
+        let Gloss { specular, transmissive, refraction } = gloss;
+        let are_amounts = [specular, transmissive, refraction].map(f64::from).into_iter();
+        let is_index = refraction == 0.0 || refraction >= 1.0;
+        (are_amounts.map(is_amount).all(|is| is) && is_index).then_some(gloss)
+    }
+}
+
 /// The light of a surfel in one channel. [F-28]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Found {
@@ -216,6 +263,8 @@ pub struct LightView<'a> {
     given: Section,
     found: Section,
     scale: Section,
+    /// Where something mirrors or lets light through.
+    gloss: Option<Section>,
     /// Where it was computed.
     sky: Option<Section>,
 }
@@ -240,9 +289,11 @@ impl<'a> LightView<'a> {
         let given = rows("given", Given::BYTES * n_channels)?;
         let found = rows("found", Found::BYTES * n_channels)?;
         let scale = rows("scale", Scale::BYTES)?;
-        let has_sky = file.sections().iter().any(|section| section.name == SKY_SECTION);
-        let sky = has_sky.then(|| rows(SKY_SECTION, SkyShare::BYTES)).transpose()?;
-        Ok(LightView { summary, given, found, scale, sky, file })
+        let has = |name: &str| file.sections().iter().any(|section| section.name == name);
+        let optional = |name, bytes| has(name).then(|| rows(name, bytes)).transpose();
+        let gloss = optional(GLOSS_SECTION, Gloss::BYTES)?;
+        let sky = optional(SKY_SECTION, SkyShare::BYTES)?;
+        Ok(LightView { summary, given, found, scale, gloss, sky, file })
     }
 
     /// Gives the file around the sections.
@@ -294,6 +345,20 @@ impl<'a> LightView<'a> {
         Ok(record::<Scale>(&self.file, &self.scale, surfel.into())?.0)
     }
 
+    /// Says whether anything mirrors or lets light through.
+    pub fn has_gloss(&self) -> bool {
+        self.gloss.is_some()
+    }
+
+    /// Reads what a surfel mirrors and lets through, `surfel` < `n_surfels`; none where nothing of
+    /// the scan does.
+    ///
+    /// # Errors
+    /// As [`Self::given`].
+    pub fn gloss(&self, surfel: u32) -> Result<Option<Gloss>, FormatError> {
+        self.gloss.as_ref().map(|rows| record(&self.file, rows, surfel.into())).transpose()
+    }
+
     /// Says whether shares of open sky were computed.
     pub fn has_sky(&self) -> bool {
         self.sky.is_some()
@@ -341,7 +406,8 @@ impl<'a> LightView<'a> {
 
     /// Counts the bytes that verifying goes through: the whole file, then the rows again.
     pub fn verify_bytes(&self) -> u64 {
-        let rows = [&self.given, &self.found, &self.scale].into_iter().chain(&self.sky);
+        let always = [&self.given, &self.found, &self.scale];
+        let rows = always.into_iter().chain(&self.gloss).chain(&self.sky);
         self.file.len_bytes() + rows.map(|section| section.len_bytes).sum::<u64>()
     }
 
@@ -377,6 +443,13 @@ impl<'a> LightView<'a> {
             let what = format!("surfel {surfel}: the radiosity is not what it emits and reflects");
             return Err(self.found.broken(at, what));
         }
+        if let (Some(gloss), Some(section)) = (self.gloss(surfel)?, &self.gloss)
+            && !gloss.fits(&given)
+        {
+            let at = u64::from(surfel) * u64::from(section.record_bytes);
+            let what = format!("surfel {surfel}: it scatters, mirrors and lets through above 1");
+            return Err(section.broken(at, what));
+        }
         self.scale(surfel)?;
         self.sky(surfel)?;
         Ok(())
@@ -386,7 +459,8 @@ impl<'a> LightView<'a> {
 /// Makes what closes a light file, from its sections in the order of [`section_names`].
 pub fn close_light(sections: &[Written]) -> Closing {
     let are = |names: Vec<&str>| sections.iter().map(|s| s.name).eq(names);
-    let are_in_order = [false, true].into_iter().any(|has_sky| are(section_names(has_sky)));
+    let with = [(false, false), (false, true), (true, false), (true, true)];
+    let are_in_order = with.into_iter().any(|(gloss, sky)| are(section_names(gloss, sky)));
     debug_assert!(are_in_order, "sections in file order");
     close(Kind::Light, sections)
 }

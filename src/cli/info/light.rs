@@ -36,11 +36,16 @@ pub(super) fn fields(view: &LightView<'_>, n_bytes: usize) -> Result<Fields, For
         ("row_error", one(s.row_error)),
         ("residual", one(s.residual)),
         ("exposure", one(s.exposure)),
-        ("sky_view", with_text(view.has_sky(), if view.has_sky() { "yes" } else { "no" }.into())),
+        ("gloss", yes_or_no(view.has_gloss())),
+        ("sky_view", yes_or_no(view.has_sky())),
         ("flux", balance),
         ("plan", lines(view.plan()?)),
         ("lights", lines(view.lights()?)),
     ])
+}
+
+fn yes_or_no(is: bool) -> Field {
+    with_text(is, if is { "yes" } else { "no" }.to_owned())
 }
 
 /// Where the flux of a channel went.

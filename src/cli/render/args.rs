@@ -27,7 +27,9 @@ limbs from the larger discs that stand for them.
 With --light the colours are the radiosity that pvmap light found: of a surfel, or of a point of
 --octree, which has the light of its place and the scan's own colour for a texture. --exposure N
 multiplies it; with auto 95 % of the area that does not shine by itself stay below 0.8 of white, and
-what that came to is said, so that the next picture can have the same.
+what that came to is said, so that the next picture can have the same. What mirrors or lets light
+through shows what is seen in it: rays are followed from the eye, up to six surfaces far, to what
+scatters light; --no-mirrors leaves that out.
 
 Colours:
   rgb          the scan's, grey where it has none
@@ -138,6 +140,9 @@ pub(in crate::cli) struct Args {
         verbatim_doc_comment
     )]
     pub(super) exposure: Exposure,
+    /// With --light: without what is seen in mirrors and through lenses
+    #[arg(long, requires = "light")]
+    pub(super) no_mirrors: bool,
     /// Only what lies between two corners: x,y,z,x,y,z
     #[arg(long, value_parser = parse_six, allow_hyphen_values = true, value_name = "CORNERS")]
     pub(super) clip: Option<[[f64; 3]; 2]>,

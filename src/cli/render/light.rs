@@ -1,16 +1,22 @@
 //! The light of a light file as colours of a picture.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use pvmap::render::{Rgb, Sample};
+use pvmap::query::Map;
+use pvmap::render::{Camera, Glossy, Picture, Rgb, Sample, held_bytes_glossy};
 use pvmap::vmap::{LightView, MapView};
-use pvmap::{Error, Exposure, LitMap, Mapped, Watch};
+use pvmap::{Error, Exposure, Gaze, LitMap, Mapped, Mirrors, Watch, memory};
 
 use super::Args;
 use crate::cli::Context;
 
+/// Pixels whose rays are held at once.
+const PIXELS_AT_ONCE: usize = 1 << 16;
+
 /// Light, and how much of it is white.
 pub(super) struct Light {
+    path: PathBuf,
+    bytes: Mapped,
     lit: LitMap,
     exposure: f64,
 }
@@ -22,7 +28,7 @@ pub(super) fn of(args: &Args, map: &MapView<'_>, map_path: &Path) -> Result<Opti
     let view = LightView::open(&bytes).map_err(|e| Error::artifact(path, e))?;
     let lit = LitMap::read((path, &view), (map_path, map))?;
     let exposure = lit.exposure(args.exposure, map).map_err(|e| Error::artifact(map_path, e))?;
-    Ok(Some(Light { lit, exposure }))
+    Ok(Some(Light { path: path.clone(), bytes, lit, exposure }))
 }
 
 impl Light {
@@ -35,6 +41,50 @@ impl Light {
             };
             radiosity.map(|b| (b * self.exposure).min(1.0) as f32)
         }
+    }
+
+    /// Reads what mirrors and lets light through, unless that is not wanted; none where nothing
+    /// does.
+    pub(super) fn mirrors<'a>(
+        &'a self,
+        args: &Args,
+        map: &'a Map<'a>,
+    ) -> Result<Option<Mirrors<'a>>, Error> {
+        let view = LightView::open(&self.bytes).map_err(|e| Error::artifact(&self.path, e))?;
+        if args.no_mirrors || !view.has_gloss() {
+            return Ok(None);
+        }
+        let what = "the picture with its mirrors (--size)";
+        memory::require(what, held_bytes_glossy(args.size), args.memory)?;
+        Mirrors::read((&self.path, &view), &self.lit, map)
+    }
+
+    /// Adds to a picture what is seen in mirrors and through lenses.
+    pub(super) fn look(
+        &self,
+        (map_path, mirrors): (&Path, &Mirrors<'_>),
+        camera: &Camera,
+        (mut picture, glossy): (Picture, Vec<Glossy>),
+        context: &Context,
+    ) -> Result<Picture, Error> {
+        let watch = &context.progress;
+        watch.stage("mirrors", Some(glossy.len() as u64), "pixels");
+        let mut n_rays = 0;
+        for some in glossy.chunks(PIXELS_AT_ONCE) {
+            let gazes = some.iter().map(|at| {
+                let (place, direction) = camera.ray(at.pixel, at.depth);
+                Gaze { surfel: at.surfel, place, direction }
+            });
+            let seen = mirrors.look(map_path, &gazes.collect::<Vec<Gaze>>(), watch)?;
+            for (at, seen) in some.iter().zip(seen) {
+                let times = f64::from(at.share) * self.exposure;
+                picture.add_light(at.pixel, seen.light.map(|b| (b * times) as f32));
+                n_rays += seen.n_rays;
+            }
+        }
+        watch.take_stages();
+        watch.note(&format!("mirrors: {} pixels, {n_rays} rays", glossy.len()));
+        Ok(picture)
     }
 
     /// Says an exposure that was chosen, so that it can be given again.

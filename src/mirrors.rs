@@ -1,0 +1,113 @@
+//! What is seen in mirrors and through lenses, by the light of a light file: rays from the pixels
+//! of a picture to what scatters light, and the light there.
+
+use std::f64::consts::PI;
+use std::path::Path;
+
+use pvmap_geometry::GridPoint;
+use pvmap_geometry::grid::GRID_MAX;
+use pvmap_light::{Glimpse, Glimpses, LightError, SeenAt, Sky};
+use pvmap_query::Map;
+use pvmap_store::{StoreError, Watch};
+use pvmap_vmap::LightView;
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::light_map::of_light;
+use crate::lights::Lights;
+use crate::lit::LitMap;
+
+/// Rays from the eye that are followed between two looks at whether to stop.
+const GAZES_AT_ONCE: usize = 256;
+
+/// What mirrors and what lets light through, and the light of all else.
+#[derive(Debug)]
+pub struct Mirrors<'a> {
+    map: &'a Map<'a>,
+    lit: &'a LitMap,
+    glimpses: Glimpses<'a>,
+    sky: Option<Sky>,
+}
+
+/// A look at a glossy surfel, in world units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gaze {
+    /// The surfel.
+    pub surfel: u32,
+    /// Where on it.
+    pub place: [f64; 3],
+    /// From the eye, of any length.
+    pub direction: [f64; 3],
+}
+
+impl<'a> Mirrors<'a> {
+    /// Reads what surfels mirror and let through; none where nothing of the scan does. The map is
+    /// that of the light, and [`Map::solid`].
+    ///
+    /// # Errors
+    /// Where a file is damaged.
+    pub fn read(
+        (path, light): (&Path, &LightView<'_>),
+        lit: &'a LitMap,
+        map: &'a Map<'a>,
+    ) -> Result<Option<Mirrors<'a>>, Error> {
+        if !light.has_gloss() {
+            return Ok(None);
+        }
+        let damaged = |e| Error::artifact(path, e);
+        let gloss = (0..light.summary().n_surfels)
+            .map(|id| Ok(light.gloss(id)?.unwrap_or_default()))
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(damaged)?;
+        let fail = |e| of_light(path, e);
+        let sky = Lights::parse(light.lights().map_err(damaged)?)?.sky();
+        Ok(Some(Mirrors { map, lit, glimpses: Glimpses::new(map, gloss).map_err(fail)?, sky }))
+    }
+
+    /// Says whether a surfel mirrors or lets light through.
+    pub fn is_glossy(&self, surfel: u32) -> bool {
+        self.glimpses.is_glossy(surfel)
+    }
+
+    /// Gives what is seen by each look, in their order: radiosity times its share, and the rays it
+    /// took. The same for any number of threads; `watch` is told of each look.
+    ///
+    /// # Errors
+    /// Where the map, at this path, is damaged, or the run is asked to stop.
+    pub fn look(
+        &self,
+        map_path: &Path,
+        gazes: &[Gaze],
+        watch: &dyn Watch,
+    ) -> Result<Vec<Glimpse>, Error> {
+        let some = |gazes: &[Gaze]| {
+            if watch.is_stopped() {
+                return Err(StoreError::Interrupted.into());
+            }
+            let seen = gazes.iter().map(|gaze| self.look_once(gaze)).collect::<Result<Vec<_>, _>>();
+            watch.advance(gazes.len() as u64);
+            seen.map_err(|e| of_light(map_path, e))
+        };
+        let all = gazes.par_chunks(GAZES_AT_ONCE).map(some).collect::<Result<Vec<_>, Error>>()?;
+        Ok(all.into_iter().flatten().collect())
+    }
+
+    fn look_once(&self, gaze: &Gaze) -> Result<Glimpse, LightError> {
+        let radiosity = |at: &SeenAt| {
+            let normal = at.normal.map(|v| v as f32);
+            self.lit.radiosity(self.grid_of(at.place), normal, at.surfel, None)
+        };
+        let sky = |direction: [f64; 3]| {
+            let Some(Sky { radiance, up }) = self.sky else { return [0.0; 3] };
+            let height: f64 = (0..3).map(|i| direction[i] * up[i]).sum();
+            radiance.map(|l| if height > 0.0 { PI * l } else { 0.0 })
+        };
+        self.glimpses.look((gaze.surfel, gaze.place, gaze.direction), &radiosity, &sky)
+    }
+
+    fn grid_of(&self, place: [f64; 3]) -> GridPoint {
+        let steps = self.map.view().frame().frame.steps_of_query(place);
+        // `as` brings what is below the grid to 0.
+        steps.map(|v| (v as u32).min(GRID_MAX))
+    }
+}
