@@ -3,9 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use pvmap_light::{
-    Elements, Gloss, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work,
-};
+use pvmap_light::{Elements, Gloss, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work};
 use pvmap_query::Map;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::{LightSummary, LightView, MapView};

@@ -179,9 +179,10 @@ impl Record for Gloss {
     fn read(r: &mut FieldReader<'_>) -> Option<Gloss> {
         let gloss = Gloss { specular: r.f32(), transmissive: r.f32(), refraction: r.f32() };
         let Gloss { specular, transmissive, refraction } = gloss;
-        let are_amounts = [specular, transmissive, refraction].map(f64::from).into_iter();
+        let values = [specular, transmissive, refraction];
+        let are_amounts = values.into_iter().all(|value| is_amount(value.into()));
         let is_index = refraction == 0.0 || refraction >= 1.0;
-        (are_amounts.map(is_amount).all(|is| is) && is_index).then_some(gloss)
+        (are_amounts && is_index).then_some(gloss)
     }
 }
 
