@@ -37,6 +37,15 @@ fn the_commands_for_a_scan_of_ones_own_work_as_written() {
             _ => {}
         }
     }
-    let made = ["grotto.laz", "grotto.octree", "grotto.vmap", "rows.csv", "seen.laz"];
+    let made = [
+        "grotto.laz",
+        "grotto.light",
+        "grotto.octree",
+        "grotto.vmap",
+        "lights.toml",
+        "lit.png",
+        "rows.csv",
+        "seen.laz",
+    ];
     assert_eq!(bench.names(), made);
 }

@@ -8,6 +8,10 @@ use crate::material::check_each;
 use crate::solve::Operator;
 use crate::sum::sum;
 
+/// How much rows are scaled up at the most where it is rows on average that count: of elements on
+/// thin limbs, which see little more than the inside, what they see would be made into all.
+const MAX_SCALE: f64 = 2.0;
+
 /// What surrounds the elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scene {
@@ -59,7 +63,7 @@ impl<'a> Balanced<'a> {
         }
         let areas = exchange.elements().areas();
         let is_enough = |rows: &[f64]| row_error(scene, areas, rows) <= tolerance;
-        Balanced::until(exchange, scene, max_iterations, &Quiet, &is_enough)
+        Balanced::until(exchange, scene, (max_iterations, f64::INFINITY), &Quiet, &is_enough)
     }
 
     /// Scales until rows are off by no more than `tolerance` of all area on average, or
@@ -73,7 +77,8 @@ impl<'a> Balanced<'a> {
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
         let is_enough = |rows: &[f64]| mean_error(scene, areas, rows) <= tolerance;
-        let mut balanced = Balanced::until(exchange, scene, max_iterations, watch, &is_enough)?;
+        let mut balanced =
+            Balanced::until(exchange, scene, (max_iterations, MAX_SCALE), watch, &is_enough)?;
         for (d, (sum, area)) in balanced.scale.iter_mut().zip(balanced.row_sums.iter().zip(areas)) {
             // The others can only get less, too, so that no row is too large then.
             *d *= if sum > area { area / sum } else { 1.0 };
@@ -87,7 +92,7 @@ impl<'a> Balanced<'a> {
     fn until(
         exchange: &'a Exchange,
         scene: Scene,
-        max_iterations: usize,
+        (max_iterations, max_scale): (usize, f64),
         watch: &dyn Watch,
         is_enough: &dyn Fn(&[f64]) -> bool,
     ) -> Result<Balanced<'a>, LightError> {
@@ -104,7 +109,7 @@ impl<'a> Balanced<'a> {
             }
             for ((d, &sum), &area) in scale.iter_mut().zip(&row_sums).zip(areas) {
                 let next = if sum > 0.0 { *d * (area / sum).sqrt() } else { *d };
-                *d = if scene == Scene::Open { next.min(1.0) } else { next };
+                *d = next.min(if scene == Scene::Open { 1.0 } else { max_scale });
             }
             iterations += 1;
         }
