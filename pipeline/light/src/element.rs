@@ -4,6 +4,7 @@ use pvmap_vmap::MapView;
 
 use crate::area::areas_grid2;
 use crate::error::LightError;
+use crate::number::Number;
 
 /// A piece of surface that has one radiosity.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,20 +20,28 @@ pub struct Element {
     pub two_sided: bool,
 }
 
-/// The numbers of one element side by side: place, normal, area, and 1 for two-sided, else 0.
-pub(crate) type Record = [f64; 8];
+/// The numbers of one element: place, normal, area, and 1 for two-sided, else 0.
+pub(crate) type Record<T> = [T; 8];
+
+/// The number of a record that is the area.
+pub(crate) const AREA: usize = 6;
+
+/// An array for each number of elements.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Columns<T>(pub(crate) [Vec<T>; 8]);
+
+impl<T: Number> Columns<T> {
+    /// Gives the numbers of an element.
+    #[inline(always)]
+    pub(crate) fn record(&self, index: usize) -> Record<T> {
+        self.0.each_ref().map(|column| column[index])
+    }
+}
 
 /// All elements of a scene.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Elements {
-    /// An array for each number, for elements one after another.
-    pub(crate) position: [Vec<f64>; 3],
-    pub(crate) normal: [Vec<f64>; 3],
-    pub(crate) area: Vec<f64>,
-    /// 1 for two-sided ones, else 0.
-    two_sided: Vec<f64>,
-    /// The same by element, for elements here and there.
-    pub(crate) records: Vec<Record>,
+    pub(crate) columns: Columns<f64>,
 }
 
 /// How much longer or shorter than 1 a normal may be.
@@ -83,52 +92,44 @@ impl Elements {
     }
 
     fn push(&mut self, element: Element) {
-        for i in 0..3 {
-            self.position[i].push(element.position[i]);
-            self.normal[i].push(element.normal[i]);
-        }
-        let two_sided = f64::from(u8::from(element.two_sided));
-        self.area.push(element.area);
-        self.two_sided.push(two_sided);
         let ([x, y, z], [u, v, w]) = (element.position, element.normal);
-        self.records.push([x, y, z, u, v, w, element.area, two_sided]);
+        let two_sided = f64::from(u8::from(element.two_sided));
+        let record = [x, y, z, u, v, w, element.area, two_sided];
+        self.columns.0.iter_mut().zip(record).for_each(|(column, v)| column.push(v));
     }
 
     /// Counts them.
     pub fn len(&self) -> usize {
-        self.area.len()
+        self.areas().len()
     }
 
     /// Says whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.area.is_empty()
+        self.areas().is_empty()
     }
 
     /// Gives one of them, `index` < [`Elements::len`], its place as it is kept.
     pub fn get(&self, index: usize) -> Element {
-        Element {
-            position: [0, 1, 2].map(|i| self.position[i][index]),
-            normal: [0, 1, 2].map(|i| self.normal[i][index]),
-            area: self.area[index],
-            two_sided: self.two_sided[index] > 0.0,
-        }
+        let [x, y, z, u, v, w, area, two_sided] = self.columns.record(index);
+        Element { position: [x, y, z], normal: [u, v, w], area, two_sided: two_sided > 0.0 }
     }
 
     /// Gives their areas.
     pub fn areas(&self) -> &[f64] {
-        &self.area
+        &self.columns.0[AREA]
     }
 
-    /// Gives the arrays of their numbers, in the order of a record.
-    #[inline(always)]
-    pub(crate) fn columns(&self) -> [&[f64]; 8] {
-        let ([x, y, z], [u, v, w]) = (&self.position, &self.normal);
-        [x, y, z, u, v, w, &self.area, &self.two_sided]
+    /// Gives their numbers in another precision, places and areas in a unit of so many of the
+    /// length that they are in.
+    pub(crate) fn in_units<T: Number>(&self, unit: f64) -> Columns<T> {
+        let powers = [-1, -1, -1, 0, 0, 0, -2, 0];
+        let column = |i: usize| self.columns.0[i].iter().map(move |v| v * unit.powi(powers[i]));
+        Columns([0, 1, 2, 3, 4, 5, 6, 7].map(|i| column(i).map(T::of).collect()))
     }
 
     /// Counts those without a normal, which take no part.
     pub fn n_without_normal(&self) -> usize {
-        (0..self.len()).filter(|&i| self.normal.iter().all(|n| n[i] == 0.0)).count()
+        (0..self.len()).filter(|&i| self.get(i).normal == [0.0; 3]).count()
     }
 }
 

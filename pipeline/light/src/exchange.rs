@@ -10,13 +10,15 @@ use crate::element::Elements;
 use crate::error::LightError;
 use crate::fmm::bounds::Bounds;
 use crate::fmm::chebyshev::MAX_ORDER;
-use crate::fmm::grid::Grids;
+use crate::fmm::grid::{Grid, Grids, error_of};
+use crate::fmm::station::{MAX_STATIONS, Partner, Stations, of_elements};
 use crate::fmm::walk::{Pairs, Walk};
 use crate::hierarchy::{Hierarchy, Links, Span, Subtree};
 use crate::kernel::Kernel;
 use crate::lists::{Lists, of_spans};
 use crate::near_field::{Corrections, corrections};
 use crate::passes::Passes;
+use crate::precision::Precision;
 use crate::sum::sum;
 
 /// What is not 0 only for pairs of elements that see each other: (G b)_i = Σ_j G_ij b_j, the flux
@@ -32,6 +34,7 @@ pub struct Exchange {
     /// For each node, the elements that its own exchange light with one by one.
     pub(crate) near: Lists<Span>,
     pub(crate) far: Option<Far>,
+    pub(crate) precision: Precision,
     /// For each node, the elements of which its own see a part.
     pub(crate) shares: Lists<Share>,
     /// What near pairs exchange beyond what their middles say.
@@ -59,35 +62,9 @@ impl Share {
 pub(crate) struct Far {
     order: usize,
     pub(crate) grids: Grids,
-    /// The middle of the areas of each node's elements.
-    pub(crate) areas: Vec<f64>,
-    /// For each node, those that it exchanges light with as a whole.
+    pub(crate) stations: Stations,
+    /// For each station, those that it exchanges light with as a whole.
     pub(crate) lists: Lists<Partner>,
-}
-
-/// A partner of a node: its number doubled, and 1 more where it is seen with the sign turned.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub(crate) struct Partner(u32);
-
-/// The most nodes whose numbers can be doubled.
-const MAX_NODES: u32 = 1 << 31;
-
-impl Partner {
-    fn new(node: u32, is_turned: bool) -> Partner {
-        Partner(node << 1 | u32::from(is_turned))
-    }
-
-    /// Gives its node.
-    #[inline]
-    pub(crate) fn node(self) -> u32 {
-        self.0 >> 1
-    }
-
-    /// Gives the sign of what is exchanged with it.
-    #[inline]
-    pub(crate) fn sign(self) -> f64 {
-        if self.0 & 1 == 0 { 1.0 } else { -1.0 }
-    }
 }
 
 /// Ranges of elements all pairs of which an operator takes, from `sources` to `targets`.
@@ -151,15 +128,16 @@ impl Exchange {
             return Exchange::by_grids(elements, hierarchy, links, kernel, (order, limit_bytes));
         }
         let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
-        let grids = Grids::default();
-        let pairs = walk(&hierarchy, &bounds, &grids, kernel, (1, limit_bytes), links)?;
-        let near = of_spans(&hierarchy, &pairs.near);
+        let grids = Grids::none(&hierarchy);
+        let pairs = walk(&hierarchy, &bounds, &grids, kernel, (0.0, limit_bytes), links)?;
+        let near = of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
         Exchange {
             elements,
             hierarchy,
             kernel,
             near,
             far: None,
+            precision: Precision::Double { places: Vec::new() },
             shares: Lists::default(),
             corrections: Corrections::default(),
         }
@@ -197,26 +175,36 @@ impl Exchange {
             return Err(LightError::Setting { what, value: order as f64, range });
         }
         let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
-        if hierarchy.n_nodes() > MAX_NODES {
-            let what = "is one too many for the multipole method, which takes 2^31";
-            return Err(LightError::Tree { node: MAX_NODES, what });
-        }
         let grids = Grids::of(&elements, &hierarchy, &bounds, order);
-        let Pairs { near, far } =
-            walk(&hierarchy, &bounds, &grids, kernel, (order, limit_bytes), links)?;
-        let near = of_spans(&hierarchy, &near);
-        let both = |&(a, b, is_turned): &(u32, u32, bool)| {
-            [(a, Partner::new(b, is_turned)), (b, Partner::new(a, is_turned))]
+        let n_stations = u64::from(hierarchy.n_nodes()) + grids.n_grids() as u64;
+        let n_places = (elements.len() + grids.n_places()) as u64;
+        if n_stations > MAX_STATIONS || n_places > u64::from(u32::MAX) {
+            let what = "is one of too many for the multipole method";
+            return Err(LightError::Tree { node: hierarchy.n_nodes() - 1, what });
+        }
+        let within = (error_of(order), limit_bytes);
+        let pairs = walk(&hierarchy, &bounds, &grids, kernel, within, links)?;
+        let near = of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
+        let both =
+            |&(a, b): &(u32, Partner)| [(a, b), (b.station(), Partner::new(a, b.is_turned()))];
+        let far = || pairs.iter().flat_map(|pairs| &pairs.far).flat_map(both);
+        let stations = Stations::of(&hierarchy, &grids);
+        let lists = Lists::of(stations.len(), far);
+        let c = kernel.regularisation();
+        let places = |node: u32| {
+            let softening = c * bounds[node as usize].area().0;
+            grids.of_node(node).iter().flat_map(Grid::places).map(move |x| (x, softening))
         };
-        let lists = Lists::of(hierarchy.n_nodes(), far.iter().flat_map(both));
-        let areas = bounds.iter().map(|of_node| of_node.area().0).collect();
-        let far = Some(Far { order, grids, areas, lists });
+        let of_grids = (0..hierarchy.n_nodes()).flat_map(places);
+        let precision = Precision::of(&elements, (order, c), of_grids);
+        let far = Some(Far { order, grids, stations, lists });
         Exchange {
             elements,
             hierarchy,
             kernel,
             near,
             far,
+            precision,
             shares: Lists::default(),
             corrections: Corrections::default(),
         }
@@ -238,7 +226,7 @@ impl Exchange {
             rows.push((a, Share { elements: elements(b), sixteenths }));
             rows.push((b, Share { elements: elements(a), sixteenths }));
         }
-        self.shares = Lists::of(self.hierarchy.n_nodes(), rows.iter().copied());
+        self.shares = Lists::of(self.hierarchy.n_nodes() as usize, || rows.iter().copied());
         Ok(self)
     }
 
@@ -251,14 +239,34 @@ impl Exchange {
 
     /// Says whether links let the first element of a node see another one.
     fn is_linked(&self, node: u32, element: u32) -> bool {
-        let elements = |partner: Partner| self.hierarchy.node(partner.node()).elements;
+        let elements = |far: &Far, partner: Partner| {
+            self.hierarchy.node(far.stations.node(partner.station())).elements
+        };
+        let holds = |span: Option<Span>| span.is_some_and(|span| span.0 <= element);
         self.hierarchy.path(self.hierarchy.first_leaf(node)).any(|above| {
             let near = self.near.of_node(above);
-            let span = near.get(near.partition_point(|span| span.1 <= element));
-            let far = self.far.as_ref().map_or(&[][..], |far| far.lists.of_node(above));
-            let partner = far.get(far.partition_point(|&partner| elements(partner).1 <= element));
-            span.is_some_and(|span| span.0 <= element)
-                || partner.is_some_and(|&partner| elements(partner).0 <= element)
+            holds(near.get(near.partition_point(|span| span.1 <= element)).copied())
+                || self.lists(above).any(|(far, list)| {
+                    let at = list.partition_point(|&partner| elements(far, partner).1 <= element);
+                    holds(list.get(at).map(|&partner| elements(far, partner)))
+                })
+        })
+    }
+
+    /// Walks the lists of a node's stations.
+    fn lists(&self, node: u32) -> impl Iterator<Item = (&Far, &[Partner])> {
+        self.far.iter().flat_map(move |far| {
+            let first = of_elements(&far.grids, node);
+            let stations = first..=first + far.grids.of_node(node).len() as u32;
+            stations.map(move |station| (far, far.lists.of_node(station)))
+        })
+    }
+
+    /// Walks the elements of the nodes that a node exchanges light with as a whole.
+    fn partners(&self, node: u32) -> impl Iterator<Item = Span> + '_ {
+        self.lists(node).flat_map(|(far, list)| {
+            let nodes = list.iter().map(|partner| far.stations.node(partner.station()));
+            nodes.map(|node| self.hierarchy.node(node).elements)
         })
     }
 
@@ -284,24 +292,44 @@ impl Exchange {
     /// # Errors
     /// Where there are not as many values as elements.
     pub fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
-        let (expected, found) = (self.elements.len(), b.len());
-        if found != expected {
+        let [flux] = self.apply_to([b])?;
+        Ok(flux)
+    }
+
+    /// Gives G b for each of some b, to the bit as one by one; three take little longer than one.
+    ///
+    /// # Errors
+    /// Where there are not as many values as elements.
+    pub(crate) fn apply_to<const C: usize>(
+        &self,
+        b: [&[f64]; C],
+    ) -> Result<[Vec<f64>; C], LightError> {
+        let expected = self.elements.len();
+        if let Some(found) = b.iter().map(|b| b.len()).find(|&found| found != expected) {
             return Err(LightError::Count { what: "exitance", found, expected });
         }
-        Ok(Passes::new(self, b).run())
+        Ok(match &self.precision {
+            Precision::Single { columns, places, unit } => {
+                Passes::new(self, (columns, places, *unit), b).run()
+            }
+            Precision::Double { places } => {
+                Passes::new(self, (&self.elements.columns, places, 1.0), b).run()
+            }
+        })
     }
 
     /// Says how far the grids are off at some elements: the mean difference of what arrives there,
     /// `flux` = G b, from the sum pair by pair, an area, as a share of the mean. 0 without grids.
     pub(crate) fn error_at(&self, elements: &[u32], b: &[f64], flux: &[f64]) -> f64 {
-        let Some(far) = &self.far else { return 0.0 };
+        if self.far.is_none() {
+            return 0.0;
+        }
         let one = |&id: &u32| {
-            let (i, area) = (id as usize, self.elements.area[id as usize]);
+            let (i, area) = (id as usize, self.elements.areas()[id as usize]);
             let path = self.hierarchy.path(self.hierarchy.leaf_of(id));
-            let partners = path.flat_map(|node| far.lists.of_node(node));
-            let spans: Vec<Span> =
-                partners.map(|partner| self.hierarchy.node(partner.node()).elements).collect();
-            let exact = self.kernel.row(&self.elements, i, &spans, b) + self.near_flux(id, b);
+            let spans: Vec<Span> = path.flat_map(|node| self.partners(node)).collect();
+            let by_grids = self.kernel.row(&self.elements, i, (&spans, &[]), b);
+            let exact = by_grids + self.near_flux(id, b);
             ((flux[i] - exact).abs() / area, exact / area)
         };
         let rows: Vec<(f64, f64)> = elements.par_iter().map(one).collect();
@@ -314,8 +342,7 @@ impl Exchange {
         let mut spans = Vec::new();
         for node in self.hierarchy.path(self.hierarchy.leaf_of(element)) {
             spans.extend_from_slice(self.near.of_node(node));
-            let far = self.far.as_ref().map_or(&[][..], |far| far.lists.of_node(node));
-            spans.extend(far.iter().map(|partner| self.hierarchy.node(partner.node()).elements));
+            spans.extend(self.partners(node));
         }
         spans
     }
@@ -329,13 +356,9 @@ impl Exchange {
     fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
         let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;
         let (leaf, i) = (hierarchy.leaf_of(element), element as usize);
-        let rows = hierarchy.path(leaf).map(|node| near.of_node(node));
-        let rows = rows.filter(|ranges| !ranges.is_empty());
-        let one_by_one: f64 = rows.map(|ranges| kernel.row(elements, i, ranges, b)).sum();
-        let rows = hierarchy.path(leaf).map(|node| shares.of_node(node));
-        let rows = rows.filter(|shares| !shares.is_empty());
-        let in_part: f64 = rows.map(|shares| kernel.row_of_shares(elements, i, shares, b)).sum();
-        one_by_one + in_part + corrections.flux(i, b)
+        let rows = hierarchy.path(leaf).map(|node| (near.of_node(node), shares.of_node(node)));
+        let one_by_one: f64 = rows.map(|from| kernel.row(elements, i, from, b)).sum();
+        one_by_one + corrections.flux(i, b)
     }
 
     /// Walks all that is taken, ranges of elements with ranges of elements, both ways.
@@ -345,12 +368,8 @@ impl Exchange {
             let targets = elements(node);
             let near = self.near.of_node(node).iter();
             let near = near.map(move |&sources| Interaction { targets, sources, is_far: false });
-            let far = self.far.iter().flat_map(move |far| far.lists.of_node(node));
-            near.chain(far.map(move |partner| Interaction {
-                targets,
-                sources: elements(partner.node()),
-                is_far: true,
-            }))
+            let far = self.partners(node);
+            near.chain(far.map(move |sources| Interaction { targets, sources, is_far: true }))
         })
     }
 
@@ -365,7 +384,8 @@ impl Exchange {
             held_bytes: self.near.held_bytes()
                 + self.shares.held_bytes()
                 + self.corrections.held_bytes()
-                + self.elements.len() * 16 * size_of::<f64>()
+                + self.elements.len() * 8 * size_of::<f64>()
+                + self.precision.held_bytes()
                 + self.hierarchy.n_nodes() as usize * size_of::<Subtree>(),
             ..ExchangeStats::default()
         };
@@ -373,7 +393,8 @@ impl Exchange {
             stats.n_far = far.lists.n_entries();
             stats.n_grids = far.grids.n_grids();
             stats.n_places = far.grids.n_places();
-            stats.held_bytes += far.lists.held_bytes() + far.grids.held_bytes();
+            stats.held_bytes +=
+                far.lists.held_bytes() + far.grids.held_bytes() + far.stations.held_bytes();
         }
         stats
     }
@@ -394,10 +415,10 @@ fn walk(
     bounds: &[Bounds],
     grids: &Grids,
     kernel: Kernel,
-    (order, limit_bytes): (usize, u64),
+    (error, limit_bytes): (f64, u64),
     links: &(impl Links + ?Sized),
-) -> Result<Pairs, LightError> {
+) -> Result<Vec<Pairs>, LightError> {
     let (regularisation, all_face) = (kernel.regularisation(), links.all_face());
-    let walk = Walk { hierarchy, bounds, grids, regularisation, order, all_face, limit_bytes };
+    let walk = Walk { hierarchy, bounds, grids, regularisation, error, all_face, limit_bytes };
     walk.pairs(links)
 }

@@ -1,17 +1,14 @@
 //! How much light two elements exchange.
 
 use std::f64::consts::PI;
-use std::ops::Range;
 
 use multiversion::multiversion;
 
-use crate::element::{Elements, Record};
+use crate::element::{AREA, Columns, Elements, Record};
 use crate::error::LightError;
 use crate::exchange::Share;
 use crate::hierarchy::Span;
-
-/// Sources that are computed side by side.
-pub(crate) const LANES: usize = 8;
+use crate::number::{LANES, Number, across, copy_lanes, lanes};
 
 /// The exchange between two elements that see each other, regularised and reciprocal:
 ///
@@ -55,110 +52,115 @@ impl Kernel {
     /// Gives the exchange G_ij = G_ji of two elements, the same bits either way; their form factors
     /// are G_ij / A_i and G_ij / A_j.
     pub fn exchange(&self, elements: &Elements, i: usize, j: usize) -> f64 {
-        exchange(self.regularisation, &elements.records[i], &elements.records[j])
+        let [a, b] = [i, j].map(|index| elements.columns.record(index));
+        exchange(self.regularisation, &a, &b)
     }
 
-    /// Sums G_ij b_j over ranges of elements j, in an order that depends on the ranges alone.
-    pub(crate) fn row(&self, elements: &Elements, i: usize, ranges: &[Span], b: &[f64]) -> f64 {
-        row(self.regularisation, elements, i, ranges, b)
-    }
-
-    /// Sums the part of G_ij b_j that shares say.
-    pub(crate) fn row_of_shares(
-        &self,
-        elements: &Elements,
-        i: usize,
-        shares: &[Share],
-        b: &[f64],
-    ) -> f64 {
-        row_of_shares(self.regularisation, elements, i, shares, b)
+    /// Sums G_ij b_j over ranges of elements j, and what shares say, in an order that depends on
+    /// these alone.
+    pub(crate) fn row(&self, elements: &Elements, i: usize, from: From<'_>, b: &[f64]) -> f64 {
+        let mut flux = [[0.0]];
+        let c = self.regularisation;
+        receive(c, &elements.columns, &[b], from, &mut Block::default(), i, &mut flux);
+        flux[0][0]
     }
 }
+
+/// Where light comes from: ranges of elements, and those of which a part is seen.
+pub(crate) type From<'a> = (&'a [Span], &'a [Share]);
 
 /// Sources put side by side, for many targets to take: so many at a time.
 const SOURCES: usize = 256;
 
-/// Elements that send, by column, and the exitance of each.
-pub(crate) struct Sources {
-    columns: [[f64; SOURCES]; 8],
-    exitances: [f64; SOURCES],
+/// Elements that send, by column, and the exitance of each in each channel.
+pub(crate) struct Block<T, const C: usize> {
+    columns: [[T; SOURCES + LANES]; 8],
+    exitances: [[T; SOURCES + LANES]; C],
     n: usize,
 }
 
-impl Sources {
-    pub(crate) fn new() -> Sources {
-        Sources { columns: [[0.0; SOURCES]; 8], exitances: [0.0; SOURCES], n: 0 }
+impl<T: Number, const C: usize> Default for Block<T, C> {
+    fn default() -> Block<T, C> {
+        let column = [T::default(); SOURCES + LANES];
+        Block { columns: [column; 8], exitances: [column; C], n: 0 }
     }
+}
 
-    /// Takes an element; says whether there is no room for another.
-    #[inline]
-    pub(crate) fn push(&mut self, elements: &Elements, j: usize, exitance: f64) -> bool {
-        for (column, v) in self.columns.iter_mut().zip(elements.records[j]) {
-            column[self.n] = v;
+impl<T: Number, const C: usize> Block<T, C> {
+    /// Takes elements `from.0`…`from.1`, no more than lanes; says whether there is no room for more.
+    #[inline(always)]
+    fn push(
+        &mut self,
+        columns: &Columns<T>,
+        b: &[&[T]; C],
+        from: (usize, usize),
+        part: Option<T>,
+    ) -> bool {
+        for (column, to) in columns.0.iter().zip(&mut self.columns) {
+            copy_lanes(column, from, &mut to[self.n..]);
         }
-        self.exitances[self.n] = exitance;
-        self.n += 1;
-        self.n == SOURCES
+        for (b, to) in b.iter().zip(&mut self.exitances) {
+            copy_lanes(b, from, &mut to[self.n..]);
+            if let Some(part) = part {
+                to[self.n..self.n + from.1 - from.0].iter_mut().for_each(|b| *b = part * *b);
+            }
+        }
+        self.n += from.1 - from.0;
+        self.n >= SOURCES
     }
 
-    /// Adds what these send to some elements, and takes none any more.
-    pub(crate) fn send(&mut self, kernel: &Kernel, targets: &[Record], flux: &mut [f64]) {
+    /// Adds what these send to elements from `first` on, and takes none any more.
+    #[inline(always)]
+    fn send(&mut self, c: T, columns: &Columns<T>, first: usize, flux: &mut [[f64; C]]) {
         // What has no area sends nothing: it fills up the last lanes.
         let whole = self.n.next_multiple_of(LANES);
-        self.columns[AREA][self.n..whole].fill(0.0);
+        self.columns[AREA][self.n..whole].fill(T::default());
         self.n = 0;
-        let columns = self.columns.each_ref().map(|column| &column[..whole]);
-        send(kernel.regularisation, columns, &self.exitances[..whole], targets, flux);
+        for (i, flux) in (first..).zip(flux) {
+            let here = columns.record(i);
+            let mut sums = [[T::default(); LANES]; C];
+            let mut k = 0;
+            while k < whole {
+                let from = self.columns.each_ref().map(|column| lanes(column, k));
+                let b = self.exitances.each_ref().map(|b| lanes(b, k));
+                add(c, &here, from, b, &mut sums);
+                k += LANES;
+            }
+            for (flux, sums) in flux.iter_mut().zip(&sums) {
+                *flux += across(sums).wide();
+            }
+        }
     }
 }
 
-impl Kernel {
-    /// Adds what elements one after another send to some others; a multiple of [`LANES`] of them.
-    pub(crate) fn send(
-        &self,
-        elements: &Elements,
-        from: Range<usize>,
-        b: &[f64],
-        (targets, flux): (&[Record], &mut [f64]),
-    ) {
-        let columns = elements.columns().map(|column| &column[from.clone()]);
-        send(self.regularisation, columns, &b[from], targets, flux);
-    }
-}
-
-/// The column of areas.
-const AREA: usize = 6;
-
+/// Adds to elements from `first` on what others send.
 #[multiversion(targets = "simd")]
-fn send(c: f64, columns: [&[f64]; 8], b: &[f64], targets: &[Record], flux: &mut [f64]) {
-    let [x, y, z, u, v, w, area, two_sided] = columns;
-    for (here, flux) in targets.iter().zip(flux) {
-        let mut sums = [0.0; LANES];
-        let mut k = 0;
-        while k < b.len() {
-            let columns = [
-                eight(x, k),
-                eight(y, k),
-                eight(z, k),
-                eight(u, k),
-                eight(v, k),
-                eight(w, k),
-                eight(area, k),
-                eight(two_sided, k),
-            ];
-            add(c, here, columns, eight(b, k), &mut sums);
-            k += LANES;
+pub(crate) fn receive<T: Number, const C: usize>(
+    c: T,
+    columns: &Columns<T>,
+    b: &[&[T]; C],
+    (spans, shares): From<'_>,
+    block: &mut Block<T, C>,
+    first: usize,
+    flux: &mut [[f64; C]],
+) {
+    let whole = spans.iter().map(|&span| (span, None));
+    let parts = shares.iter().map(|share| (share.elements, Some(T::of(share.part()))));
+    for ((from, to), part) in whole.chain(parts) {
+        let (mut from, to) = (from as usize, to as usize);
+        while from < to {
+            let next = to.min(from + LANES);
+            if block.push(columns, b, (from, next), part) {
+                block.send(c, columns, first, flux);
+            }
+            from = next;
         }
-        let mut sum = 0.0;
-        for lane in 0..LANES {
-            sum += sums[lane];
-        }
-        *flux += sum;
     }
+    block.send(c, columns, first, flux);
 }
 
 #[inline(always)]
-fn exchange(c: f64, a: &Record, b: &Record) -> f64 {
+fn exchange<T: Number>(c: T, a: &Record<T>, b: &Record<T>) -> T {
     let (x, y, z) = (b[0] - a[0], b[1] - a[1], b[2] - a[2]);
     let r2 = x * x + y * y + z * z;
     // The cosines times r. Every operation is the same, or has its sign turned, from the other
@@ -166,147 +168,37 @@ fn exchange(c: f64, a: &Record, b: &Record) -> f64 {
     let at_a = a[3] * x + a[4] * y + a[5] * z;
     let at_b = -(b[3] * x + b[4] * y + b[5] * z);
     let cosines = larger(at_a, -(at_a * a[7])) * larger(at_b, -(at_b * b[7]));
-    let over = cosines * (a[6] * b[6]);
-    let under = r2 * (PI * r2 + c * (a[6] + b[6]));
+    let over = cosines * (a[AREA] * b[AREA]);
+    let under = r2 * (T::of(PI) * r2 + c * (a[AREA] + b[AREA]));
     // In one place the cosines are 0, and so is what is exchanged, whatever the quotient says.
-    let bounded = smaller(over / under, smaller(a[6], b[6]));
-    if over > 0.0 { bounded } else { 0.0 }
+    let bounded = smaller(over / under, smaller(a[AREA], b[AREA]));
+    if over > T::default() { bounded } else { T::default() }
 }
 
 /// `f64::max` without its care for NaN, one instruction.
 #[inline(always)]
-fn larger(a: f64, b: f64) -> f64 {
+fn larger<T: Number>(a: T, b: T) -> T {
     if a > b { a } else { b }
 }
 
 #[inline(always)]
-fn smaller(a: f64, b: f64) -> f64 {
+fn smaller<T: Number>(a: T, b: T) -> T {
     if a < b { a } else { b }
 }
 
-#[multiversion(targets = "simd")]
-fn row(c: f64, elements: &Elements, i: usize, ranges: &[Span], b: &[f64]) -> f64 {
-    let here = elements.records[i];
-    let mut sums = [0.0; LANES];
-    // What ranges leave over goes together: most of them are shorter than the lanes.
-    let (mut waiting, mut n_waiting) = ([i; LANES], 0);
-    for &(first, end) in ranges {
-        let (first, end) = (first as usize, end as usize);
-        let whole = end - (end - first) % LANES;
-        if whole > first {
-            let [x, y, z, u, v, w, area, two_sided] = elements.columns();
-            let mut k = first;
-            while k < whole {
-                let columns = [
-                    eight(x, k),
-                    eight(y, k),
-                    eight(z, k),
-                    eight(u, k),
-                    eight(v, k),
-                    eight(w, k),
-                    eight(area, k),
-                    eight(two_sided, k),
-                ];
-                add(c, &here, columns, eight(b, k), &mut sums);
-                k += LANES;
-            }
-        }
-        for j in whole..end {
-            waiting[n_waiting] = j;
-            n_waiting += 1;
-            if n_waiting == LANES {
-                n_waiting = 0;
-                let there = exitances(&waiting, b);
-                gather(c, elements, &here, &waiting, &there, &mut sums);
-            }
-        }
-    }
-    // The element itself, with which it exchanges nothing, fills up the last ones.
-    for free in &mut waiting[n_waiting..] {
-        *free = i;
-    }
-    let there = exitances(&waiting, b);
-    gather(c, elements, &here, &waiting, &there, &mut sums);
-    let mut sum = 0.0;
-    for lane in 0..LANES {
-        sum += sums[lane];
-    }
-    sum
-}
-
-#[multiversion(targets = "simd")]
-fn row_of_shares(c: f64, elements: &Elements, i: usize, shares: &[Share], b: &[f64]) -> f64 {
-    let here = elements.records[i];
-    let mut sums = [0.0; LANES];
-    let (mut waiting, mut there, mut n_waiting) = ([i; LANES], [0.0; LANES], 0);
-    for share in shares {
-        let part = share.part();
-        for j in share.elements.0 as usize..share.elements.1 as usize {
-            (waiting[n_waiting], there[n_waiting]) = (j, part * b[j]);
-            n_waiting += 1;
-            if n_waiting == LANES {
-                n_waiting = 0;
-                gather(c, elements, &here, &waiting, &there, &mut sums);
-            }
-        }
-    }
-    for lane in n_waiting..LANES {
-        (waiting[lane], there[lane]) = (i, 0.0);
-    }
-    gather(c, elements, &here, &waiting, &there, &mut sums);
-    let mut sum = 0.0;
-    for lane in 0..LANES {
-        sum += sums[lane];
-    }
-    sum
-}
-
-/// Gives eight numbers of a column.
+/// Adds what elements side by side send, their numbers by column.
 #[inline(always)]
-pub(crate) fn eight(column: &[f64], first: usize) -> &[f64; LANES] {
-    match column[first..].first_chunk() {
-        Some(chunk) => chunk,
-        None => unreachable!("whole chunks end within the column"),
-    }
-}
-
-/// Gives the exitances of eight elements.
-#[inline(always)]
-fn exitances(from: &[usize; LANES], b: &[f64]) -> [f64; LANES] {
-    let mut there = [0.0; LANES];
-    for lane in 0..LANES {
-        there[lane] = b[from[lane]];
-    }
-    there
-}
-
-/// Adds what eight elements anywhere send.
-#[inline(always)]
-fn gather(
-    c: f64,
-    elements: &Elements,
-    here: &Record,
-    from: &[usize; LANES],
-    b: &[f64; LANES],
-    sums: &mut [f64; LANES],
+fn add<T: Number, const C: usize>(
+    c: T,
+    here: &Record<T>,
+    from: [&[T; LANES]; 8],
+    b: [&[T; LANES]; C],
+    sums: &mut [[T; LANES]; C],
 ) {
-    let mut columns = [[0.0; LANES]; 8];
     for lane in 0..LANES {
-        let record = &elements.records[from[lane]];
-        for column in 0..8 {
-            columns[column][lane] = record[column];
+        let by = exchange(c, here, &from.map(|column| column[lane]));
+        for channel in 0..C {
+            sums[channel][lane] += by * b[channel][lane];
         }
-    }
-    let [x, y, z, u, v, w, area, two_sided] = &columns;
-    add(c, here, [x, y, z, u, v, w, area, two_sided], b, sums);
-}
-
-/// Adds what eight elements send, their numbers by column.
-#[inline(always)]
-fn add(c: f64, here: &Record, from: [&[f64; LANES]; 8], b: &[f64; LANES], sums: &mut [f64; LANES]) {
-    let [x, y, z, u, v, w, area, two_sided] = from;
-    for i in 0..LANES {
-        let there = [x[i], y[i], z[i], u[i], v[i], w[i], area[i], two_sided[i]];
-        sums[i] += exchange(c, here, &there) * b[i];
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::hierarchy::{Hierarchy, Span};
 
-/// Lists one after another, in the order of the nodes they belong to.
+/// Lists one after another, in the order of the nodes, or stations, they belong to.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Lists<T> {
     /// Where the list of each node starts; one more than there are nodes.
@@ -12,15 +12,18 @@ pub(crate) struct Lists<T> {
 
 impl<T: Copy + Ord + Default> Lists<T> {
     /// Sorts (node, entry) into lists, each rising.
-    pub(crate) fn of(n_nodes: u32, rows: impl Iterator<Item = (u32, T)> + Clone) -> Lists<T> {
-        let mut starts = vec![0; n_nodes as usize + 1];
-        rows.clone().for_each(|(node, _)| starts[node as usize + 1] += 1);
+    pub(crate) fn of<I: Iterator<Item = (u32, T)>>(
+        n_nodes: usize,
+        rows: impl Fn() -> I,
+    ) -> Lists<T> {
+        let mut starts = vec![0; n_nodes + 1];
+        rows().for_each(|(node, _)| starts[node as usize + 1] += 1);
         for i in 1..starts.len() {
             starts[i] += starts[i - 1];
         }
         let mut entries = vec![T::default(); starts.last().copied().unwrap_or(0)];
         let mut ends = starts.clone();
-        for (node, entry) in rows {
+        for (node, entry) in rows() {
             let end = &mut ends[node as usize];
             entries[*end] = entry;
             *end += 1;
@@ -49,10 +52,13 @@ impl<T: Copy + Ord + Default> Lists<T> {
 }
 
 /// Lists for both nodes of each pair the elements of the other, ranges that touch as one.
-pub(crate) fn of_spans(hierarchy: &Hierarchy, pairs: &[(u32, u32)]) -> Lists<Span> {
+pub(crate) fn of_spans<'p, I: Iterator<Item = &'p (u32, u32)>>(
+    hierarchy: &Hierarchy,
+    pairs: impl Fn() -> I,
+) -> Lists<Span> {
     let elements = |node| hierarchy.node(node).elements;
-    let both = pairs.iter().flat_map(|&(a, b)| [(a, elements(b)), (b, elements(a))]);
-    let mut lists = Lists::of(hierarchy.n_nodes(), both);
+    let both = |&(a, b): &(u32, u32)| [(a, elements(b)), (b, elements(a))];
+    let mut lists = Lists::of(hierarchy.n_nodes() as usize, || pairs().flat_map(both));
     let mut n_kept = 0;
     let mut from = 0;
     for node in 0..hierarchy.n_nodes() as usize {

@@ -163,7 +163,7 @@ impl Optics<'_> {
 
     /// Gives the radius of a disc with the area of an element.
     pub(crate) fn radius(&self, id: u32) -> f64 {
-        (self.elements.area[id as usize] / PI).sqrt()
+        (self.elements.areas()[id as usize] / PI).sqrt()
     }
 }
 

@@ -138,7 +138,7 @@ impl Specular<'_> {
             watch.advance(n_done);
             for Brought { deposits, resent, escaped, n_photons } in brought {
                 for (to, flux) in deposits {
-                    let area = self.optics.elements.area[to as usize];
+                    let area = self.optics.elements.areas()[to as usize];
                     for (channel, flux) in thrown.irradiance.iter_mut().zip(flux) {
                         channel[to as usize] += flux / area;
                     }
@@ -179,7 +179,7 @@ impl Specular<'_> {
     ) -> Result<Vec<Vec<[f64; 3]>>, LightError> {
         let air = Air::new(self.optics.map, self.optics.elements);
         let one = |&id: &u32| {
-            let area = self.optics.elements.area[id as usize];
+            let area = self.optics.elements.areas()[id as usize];
             let of_lamp = |lamp: &Lamp| {
                 let irradiance = air.of_lamp(lamp, id)?;
                 let flux = scale(irradiance, area);
@@ -325,7 +325,7 @@ impl Specular<'_> {
         // What goes on from a mirror is not what goes on from the wall around it.
         near.retain(|one| is_glossy(one.0) == is_glossy(hit));
         let areas =
-            |&(id, weight): &(u32, f64)| (id, weight * self.optics.elements.area[id as usize]);
+            |&(id, weight): &(u32, f64)| (id, weight * self.optics.elements.areas()[id as usize]);
         let near: Vec<(u32, f64)> = near.iter().map(areas).collect();
         let all: f64 = near.iter().map(|one| one.1).sum();
         if all <= 0.0 {

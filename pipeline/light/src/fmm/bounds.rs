@@ -20,17 +20,6 @@ pub(crate) struct Bounds {
     has_two_sided: bool,
 }
 
-/// How the elements of one node face all places of another's box.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Facing {
-    /// With their normals.
-    Front,
-    /// With their backs.
-    Back,
-    /// It differs, or is not known.
-    Mixed,
-}
-
 const INFINITE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 impl Bounds {
@@ -145,8 +134,9 @@ impl Bounds {
         (0..3).map(|i| gap(i) * gap(i)).sum()
     }
 
-    /// Says how these elements face a box, by the least and the largest that n·(x - y) can be.
-    pub(crate) fn facing(&self, other: &Bounds) -> Facing {
+    /// Gives the least and the most that a place of a box can be above the planes of these elements:
+    /// n·(x - y).
+    pub(crate) fn heights(&self, other: &Bounds) -> (f64, f64) {
         let (mut least, mut most) = (-self.offset.1, -self.offset.0);
         for i in 0..3 {
             let ends = [self.normal_low[i], self.normal_high[i]]
@@ -155,10 +145,6 @@ impl Bounds {
             least += all.into_iter().fold(INFINITE.0, f64::min);
             most += all.into_iter().fold(INFINITE.1, f64::max);
         }
-        match (least > 0.0, most < 0.0) {
-            (true, _) => Facing::Front,
-            (_, true) => Facing::Back,
-            _ => Facing::Mixed,
-        }
+        (least, most)
     }
 }

@@ -17,5 +17,6 @@
 pub(crate) mod bounds;
 pub(crate) mod chebyshev;
 pub(crate) mod grid;
+pub(crate) mod station;
 pub(crate) mod translate;
 pub(crate) mod walk;

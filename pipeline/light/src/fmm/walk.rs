@@ -6,28 +6,25 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use crate::error::LightError;
-use crate::fmm::bounds::{Bounds, Facing};
-use crate::fmm::grid::{Grids, decay};
+use crate::fmm::bounds::Bounds;
+use crate::fmm::grid::Grids;
+use crate::fmm::station::{self, Partner};
 use crate::hierarchy::{Hierarchy, Links, Span};
 
-/// How far from the centre of a grid, in half widths of its box, what it exchanges light with must
-/// be. Boxes of one size that are two widths apart are just so far.
-pub(crate) const SEPARATION: f64 = 3.0;
-
-/// Pairs of nodes, each once, that hold every pair of elements under the links exactly once.
+/// Pairs, each once, that hold every pair of elements under the links exactly once.
 #[derive(Debug, Default)]
 pub(crate) struct Pairs {
-    /// To be taken element by element.
+    /// Nodes to be taken element by element.
     pub(crate) near: Vec<(u32, u32)>,
-    /// To be taken by their grids, and whether with the sign turned.
-    pub(crate) far: Vec<(u32, u32, bool)>,
+    /// Stations to be taken as wholes.
+    pub(crate) far: Vec<(u32, Partner)>,
 }
 
 impl Pairs {
-    /// Counts the bytes of pairs, by block and all together, and of their lists at both ends.
+    /// Counts the bytes of pairs, and of their lists at both ends.
     fn bytes(&self) -> u64 {
-        let near = 2 * size_of::<(u32, u32)>() + 2 * size_of::<Span>();
-        let far = 2 * size_of::<(u32, u32, bool)>() + 2 * size_of::<u32>();
+        let near = size_of::<(u32, u32)>() + 2 * size_of::<Span>();
+        let far = size_of::<(u32, Partner)>() + 2 * size_of::<Partner>();
         (self.near.len() * near + self.far.len() * far) as u64
     }
 }
@@ -38,7 +35,8 @@ pub(crate) struct Walk<'a> {
     pub(crate) bounds: &'a [Bounds],
     pub(crate) grids: &'a Grids,
     pub(crate) regularisation: f64,
-    pub(crate) order: usize,
+    /// What the grids may err by.
+    pub(crate) error: f64,
     /// Whether everything under a link faces each other.
     pub(crate) all_face: bool,
     /// Memory that the pairs and the lists that are made of them may take.
@@ -49,13 +47,13 @@ pub(crate) struct Walk<'a> {
 enum Verdict {
     Nothing,
     Near,
-    Far { is_turned: bool },
+    Far(u32, Partner),
     Split,
 }
 
 impl Walk<'_> {
     /// Goes through all links, each block for itself; the result is in the order of the blocks.
-    pub(crate) fn pairs(&self, links: &(impl Links + ?Sized)) -> Result<Pairs, LightError> {
+    pub(crate) fn pairs(&self, links: &(impl Links + ?Sized)) -> Result<Vec<Pairs>, LightError> {
         let held = AtomicU64::new(0);
         let block = |index| {
             let mut pairs = Pairs::default();
@@ -70,24 +68,14 @@ impl Walk<'_> {
             }
             Ok(pairs)
         };
-        let blocks: Vec<Pairs> =
-            (0..links.n_blocks()).into_par_iter().map(block).collect::<Result<_, _>>()?;
-        let mut all = Pairs {
-            near: Vec::with_capacity(blocks.iter().map(|pairs| pairs.near.len()).sum()),
-            far: Vec::with_capacity(blocks.iter().map(|pairs| pairs.far.len()).sum()),
-        };
-        for pairs in blocks {
-            all.near.extend(pairs.near);
-            all.far.extend(pairs.far);
-        }
-        Ok(all)
+        (0..links.n_blocks()).into_par_iter().map(block).collect()
     }
 
     fn descend(&self, a: u32, b: u32, pairs: &mut Pairs) {
         match self.verdict(a, b) {
             Verdict::Nothing => {}
             Verdict::Near => pairs.near.push((a, b)),
-            Verdict::Far { is_turned } => pairs.far.push((a, b, is_turned)),
+            Verdict::Far(station, partner) => pairs.far.push((station, partner)),
             Verdict::Split if self.splits_first(a, b) => {
                 self.hierarchy.children(a).for_each(|child| self.descend(child, b, pairs));
             }
@@ -98,62 +86,90 @@ impl Walk<'_> {
     }
 
     fn verdict(&self, a: u32, b: u32) -> Verdict {
-        let (of_a, of_b) = (&self.bounds[a as usize], &self.bounds[b as usize]);
-        if of_a.is_empty() || of_b.is_empty() {
+        if self.bounds[a as usize].is_empty() || self.bounds[b as usize].is_empty() {
             return Verdict::Nothing;
         }
-        if self.grids.get(a).is_none() && self.grids.get(b).is_none() {
-            return Verdict::Near;
-        }
-        if !self.are_far(a, b) {
-            return Verdict::Split;
-        }
-        match (self.side(of_a, of_b), self.side(of_b, of_a)) {
-            (Side::Dark, _) | (_, Side::Dark) => Verdict::Nothing,
-            (Side::Lit { is_turned: here }, Side::Lit { is_turned: there }) => {
-                Verdict::Far { is_turned: here != there }
-            }
-            _ => Verdict::Split,
+        let is_open = |node| self.grids.full(node).is_some();
+        match self.as_wholes(a, b) {
+            Some(verdict) => verdict,
+            None if is_open(a) || is_open(b) => Verdict::Split,
+            None => Verdict::Near,
         }
     }
 
-    /// Says whether two nodes may be joined by their grids: neither is too near to the other's
-    /// centre, and what keeps near elements bounded is as good as the same for all of them.
-    fn are_far(&self, a: u32, b: u32) -> bool {
+    /// Says what becomes of a pair without looking into it, where that is known and of use.
+    fn as_wholes(&self, a: u32, b: u32) -> Option<Verdict> {
+        if self.grids.of_node(a).is_empty() && self.grids.of_node(b).is_empty() {
+            return None;
+        }
         let (of_a, of_b) = (&self.bounds[a as usize], &self.bounds[b as usize]);
-        let is_clear = |node: u32, of_node: &Bounds, other: &Bounds| {
-            let distance = SEPARATION * of_node.half_width();
-            let from_centre2 = other.distance2_from(of_node.centre());
-            self.grids.get(node).is_none() || from_centre2 >= distance * distance
-        };
         let distance2 = of_a.distance2(of_b);
-        let ((area_a, off_a), (area_b, off_b)) = (of_a.area(), of_b.area());
+        let here = self.station(a, of_b)?;
+        let there = self.station(b, of_a)?;
+        let elements = |node| station::of_elements(self.grids, node);
+        if (here, there) == (elements(a), elements(b)) || !self.is_even(of_a, of_b, distance2) {
+            return None;
+        }
+        match (self.side(of_a, of_b, distance2), self.side(of_b, of_a, distance2)) {
+            (Side::Dark, _) | (_, Side::Dark) => Some(Verdict::Nothing),
+            (Side::Lit { is_turned: first }, Side::Lit { is_turned: second }) => {
+                Some(Verdict::Far(here, Partner::new(there, first != second)))
+            }
+            _ => None,
+        }
+    }
+
+    /// Gives the station that stands for a node in another's exchange with it: its coarsest grid
+    /// whose centre is far enough from the other's box, or its elements; none where these are so
+    /// many that the node is to be split.
+    fn station(&self, node: u32, other: &Bounds) -> Option<u32> {
+        let (elements, grids) = (station::of_elements(self.grids, node), self.grids.of_node(node));
+        let around = &self.bounds[node as usize];
+        let (half, distance2) = (around.half_width(), other.distance2_from(around.centre()));
+        let is_clear = |separation: f64| distance2 >= (separation * half) * (separation * half);
+        match grids.iter().rposition(|grid| is_clear(grid.separation())) {
+            // A node has seven at the most.
+            Some(index) => Some(elements + 1 + index as u32),
+            None if self.grids.full(node).is_some() => None,
+            None => Some(elements),
+        }
+    }
+
+    /// Says whether what keeps near elements bounded is as good as the same for all pairs.
+    fn is_even(&self, a: &Bounds, b: &Bounds, distance2: f64) -> bool {
+        let ((area_a, off_a), (area_b, off_b)) = (a.area(), b.area());
         // π r² + c (A_i + A_j) is then off by no more than what order p errs by.
         let off = self.regularisation * (off_a + off_b);
-        let is_even = off <= PI * distance2 * decay(SEPARATION).powi(-(self.order as i32));
         // The exchange of no pair exceeds the area of one of its elements.
         let is_wide = (area_a + off_a).max(area_b + off_b) <= PI * distance2;
-        distance2 > 0.0 && is_even && is_wide && is_clear(a, of_a, of_b) && is_clear(b, of_b, of_a)
+        distance2 > 0.0 && is_wide && off <= PI * distance2 * self.error
     }
 
-    /// Says with which side the elements of a node face another.
-    fn side(&self, node: &Bounds, other: &Bounds) -> Side {
+    /// Says with which side the elements of a node face another. Those that look no farther over
+    /// their horizon, or below it, than what grids may err by count as not doing so.
+    fn side(&self, node: &Bounds, other: &Bounds, distance2: f64) -> Side {
         if self.all_face && node.is_one_sided() {
             return Side::Lit { is_turned: false };
         }
-        match node.facing(other) {
-            Facing::Front => Side::Lit { is_turned: false },
-            Facing::Back if node.is_two_sided() => Side::Lit { is_turned: true },
-            Facing::Back if node.is_one_sided() => Side::Dark,
-            _ => Side::Unknown,
+        let (lowest, highest) = node.heights(other);
+        // Of what comes from all around, directions whose cosine is less than ε bring ε².
+        let slack = (0.5 * self.error * distance2).sqrt();
+        if lowest > -slack {
+            Side::Lit { is_turned: false }
+        } else if highest < slack && node.is_two_sided() {
+            Side::Lit { is_turned: true }
+        } else if highest < slack && node.is_one_sided() {
+            Side::Dark
+        } else {
+            Side::Unknown
         }
     }
 
     /// Says whether the first of two nodes is to be split: the one with the larger box, but none
-    /// without a grid.
+    /// without a full grid.
     fn splits_first(&self, a: u32, b: u32) -> bool {
         let width = |node: u32| self.bounds[node as usize].half_width();
-        match (self.grids.get(a), self.grids.get(b)) {
+        match (self.grids.full(a), self.grids.full(b)) {
             (Some(_), Some(_)) => width(a) >= width(b),
             (first, _) => first.is_some(),
         }
