@@ -145,7 +145,7 @@ fn write(
         n_surfels: map.summary().n_surfels,
         n_channels: lit.channels.len() as u32,
         order: lit.order.unwrap_or(0) as u32,
-        iterations: lit.work.n_iterations as u32,
+        iterations: lit.iterations as u32,
         error_target: request.options.error,
         operator_error: lit.operator_error,
         row_error: lit.row_error,

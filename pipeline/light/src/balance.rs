@@ -1,6 +1,7 @@
 //! Scaling an exchange so that every element gets the light there is, and no more.
 
 use pvmap_store::{Quiet, Watch};
+use rayon::prelude::*;
 
 use crate::error::{LightError, check};
 use crate::exchange::Exchange;
@@ -11,6 +12,9 @@ use crate::sum::sum;
 /// How much rows are scaled up at the most where it is rows on average that count: of elements on
 /// thin limbs, which see little more than the inside, what they see would be made into all.
 const MAX_SCALE: f64 = 2.0;
+
+/// How many times their mean rows of some elements may be off.
+const SAMPLE_DOUBT: f64 = 4.0;
 
 /// What surrounds the elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -115,17 +119,27 @@ impl<'a> Balanced<'a> {
         }
     }
 
-    /// Takes a scaling that was found before by which no row is too large; what they fall short is
-    /// as it was then.
+    /// Takes a scaling that was found before for the same exchange; what rows fall short is as it
+    /// was then.
     ///
     /// # Errors
-    /// Where there is not a number above 0 an element.
+    /// Where there is not a number above 0 an element, or rows of the elements `some` are off by
+    /// more than `tolerance` beyond what they were: it was found for another exchange.
     pub(crate) fn again(
         exchange: &'a Exchange,
+        scene: Scene,
         Scaling { scale, row_error }: Scaling,
+        (some, tolerance): (&[u32], f64),
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
         check_each(areas.len(), "the scale", "above 0", &scale, |d| d > 0.0 && d.is_finite())?;
+        let row =
+            |&id: &u32| (areas[id as usize], scale[id as usize] * exchange.flux_at(id, &scale));
+        let (areas, rows): (Vec<f64>, Vec<f64>) = some.par_iter().map(row).unzip();
+        let off = mean_error(scene, &areas, &rows);
+        if off > SAMPLE_DOUBT * row_error + tolerance {
+            return Err(LightError::OtherScaling { off, row_error });
+        }
         Ok(Balanced { exchange, scale, row_sums: Vec::new(), row_error, iterations: 0 })
     }
 
@@ -190,10 +204,16 @@ impl Operator for Balanced<'_> {
     }
 
     fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
-        let scaled: Vec<f64> = b.iter().zip(&self.scale).map(|(b, d)| b * d).collect();
-        let mut flux = self.exchange.apply(&scaled)?;
-        flux.iter_mut().zip(&self.scale).for_each(|(flux, d)| *flux *= d);
-        Ok(flux)
+        Ok(self.apply_each(&[b])?.swap_remove(0))
+    }
+
+    fn apply_each(&self, b: &[&[f64]]) -> Result<Vec<Vec<f64>>, LightError> {
+        let times_scale =
+            |v: &[f64]| -> Vec<f64> { v.iter().zip(&self.scale).map(|(v, d)| v * d).collect() };
+        let scaled: Vec<Vec<f64>> = b.iter().map(|b| times_scale(b)).collect();
+        let scaled: Vec<&[f64]> = scaled.iter().map(|b| &b[..]).collect();
+        let flux = Operator::apply_each(self.exchange, &scaled)?;
+        Ok(flux.iter().map(|flux| times_scale(flux)).collect())
     }
 
     fn row_sums(&self) -> Result<Vec<f64>, LightError> {
@@ -216,5 +236,9 @@ impl Operator for Exchange {
 
     fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
         Exchange::apply(self, b)
+    }
+
+    fn apply_each(&self, b: &[&[f64]]) -> Result<Vec<Vec<f64>>, LightError> {
+        Exchange::apply_each(self, b)
     }
 }

@@ -87,6 +87,17 @@ pub enum LightError {
         /// Asked for.
         tolerance: f64,
     },
+    /// A scaling was found for another exchange.
+    #[error(
+        "the scale was found for other light: with it what surfels get from all is off by {off:.1e} \
+         of it, not {row_error:.1e}; leave --scale-of out"
+    )]
+    OtherScaling {
+        /// The mean at some surfels.
+        off: f64,
+        /// What it was said to be.
+        row_error: f64,
+    },
     /// The map cannot be read.
     #[error(transparent)]
     Format(#[from] FormatError),

@@ -85,11 +85,13 @@ pub struct ExchangeStats {
     pub n_near_ranges: usize,
     /// Pairs of elements that are taken one by one, both ways.
     pub n_near_pairs: u64,
-    /// Pairs of nodes that are taken by their grids, both ways.
+    /// Pairs of nodes that are taken as wholes, both ways.
     pub n_far: usize,
+    /// Pairs of places by which these are taken.
+    pub n_far_pairs: u64,
     /// Pairs of nodes that see a part of each other, both ways.
     pub n_shares: usize,
-    /// Nodes that have a grid.
+    /// Grids of nodes.
     pub n_grids: usize,
     /// Places of all grids.
     pub n_places: usize,
@@ -299,11 +301,22 @@ impl Exchange {
     /// Gives G b for each of some b, to the bit as one by one; three take little longer than one.
     ///
     /// # Errors
-    /// Where there are not as many values as elements.
-    pub(crate) fn apply_to<const C: usize>(
-        &self,
-        b: [&[f64]; C],
-    ) -> Result<[Vec<f64>; C], LightError> {
+    /// Those of [`Exchange::apply`].
+    pub fn apply_each(&self, b: &[&[f64]]) -> Result<Vec<Vec<f64>>, LightError> {
+        let mut flux = Vec::with_capacity(b.len());
+        for three in b.chunks(3) {
+            match *three {
+                [x, y, z] => flux.extend(self.apply_to([x, y, z])?),
+                [x, y] => flux.extend(self.apply_to([x, y, y])?.into_iter().take(2)),
+                _ => {
+                    flux.extend(three.iter().map(|b| self.apply(b)).collect::<Result<Vec<_>, _>>()?)
+                }
+            }
+        }
+        Ok(flux)
+    }
+
+    fn apply_to<const C: usize>(&self, b: [&[f64]; C]) -> Result<[Vec<f64>; C], LightError> {
         let expected = self.elements.len();
         if let Some(found) = b.iter().map(|b| b.len()).find(|&found| found != expected) {
             return Err(LightError::Count { what: "exitance", found, expected });
@@ -325,12 +338,8 @@ impl Exchange {
             return 0.0;
         }
         let one = |&id: &u32| {
-            let (i, area) = (id as usize, self.elements.areas()[id as usize]);
-            let path = self.hierarchy.path(self.hierarchy.leaf_of(id));
-            let spans: Vec<Span> = path.flat_map(|node| self.partners(node)).collect();
-            let by_grids = self.kernel.row(&self.elements, i, (&spans, &[]), b);
-            let exact = by_grids + self.near_flux(id, b);
-            ((flux[i] - exact).abs() / area, exact / area)
+            let (exact, area) = (self.flux_at(id, b), self.elements.areas()[id as usize]);
+            ((flux[id as usize] - exact).abs() / area, exact / area)
         };
         let rows: Vec<(f64, f64)> = elements.par_iter().map(one).collect();
         let (off, all) = (sum(rows.iter().map(|row| row.0)), sum(rows.iter().map(|row| row.1)));
@@ -352,13 +361,16 @@ impl Exchange {
         self.kernel.exchange(&self.elements, i, j)
     }
 
-    /// Gives what arrives at an element one by one: all but what grids bring.
-    fn near_flux(&self, element: u32, b: &[f64]) -> f64 {
+    /// Gives the flux that arrives at an element, pair by pair, also what grids bring.
+    pub(crate) fn flux_at(&self, element: u32, b: &[f64]) -> f64 {
         let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;
         let (leaf, i) = (hierarchy.leaf_of(element), element as usize);
-        let rows = hierarchy.path(leaf).map(|node| (near.of_node(node), shares.of_node(node)));
-        let one_by_one: f64 = rows.map(|from| kernel.row(elements, i, from, b)).sum();
-        one_by_one + corrections.flux(i, b)
+        let from = |node| {
+            let far: Vec<Span> = self.partners(node).collect();
+            kernel.row(elements, i, (near.of_node(node), shares.of_node(node)), b)
+                + kernel.row(elements, i, (&far, &[]), b)
+        };
+        hierarchy.path(leaf).map(from).sum::<f64>() + corrections.flux(i, b)
     }
 
     /// Walks all that is taken, ranges of elements with ranges of elements, both ways.
@@ -391,6 +403,12 @@ impl Exchange {
         };
         if let Some(far) = &self.far {
             stats.n_far = far.lists.n_entries();
+            let size = |station| far.stations.places(station).len() as u64;
+            for station in 0..far.stations.len() as u32 {
+                let partners = far.lists.of_node(station).iter();
+                stats.n_far_pairs +=
+                    size(station) * partners.map(|partner| size(partner.station())).sum::<u64>();
+            }
             stats.n_grids = far.grids.n_grids();
             stats.n_places = far.grids.n_places();
             stats.held_bytes +=

@@ -1,5 +1,6 @@
 //! From materials and lamps to the light of a scene: plan first, then no more than planned.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use pvmap_query::Map;
@@ -13,7 +14,7 @@ use crate::incident::{Air, Incident, OpenSky};
 use crate::lamp::{Lamp, Sky};
 use crate::material::{Channel, Materials};
 use crate::plan::{Effect, Plan, Wishes};
-use crate::solve::{FluxBalance, Operator, Solution, SolveOptions, solve};
+use crate::solve::{FluxBalance, Operator, Solution, SolveOptions, solve_each};
 use crate::specular::{Thrown, ThrownFlux};
 use crate::sum::sum;
 
@@ -114,8 +115,10 @@ pub struct Lit {
     pub order: Option<usize>,
     /// The mean error of what grids bring to 64 elements, as a share of what arrives there.
     pub operator_error: f64,
-    /// The share of its area by which a row of the exchange is off.
+    /// By how much rows of the exchange are off, as a share of all area.
     pub row_error: f64,
+    /// Iterations of the solver, in the channel with the most.
+    pub iterations: usize,
     /// Flux that may be missing, as a share of what is emitted.
     pub residual: f64,
     /// What was touched.
@@ -168,7 +171,7 @@ impl<'a> Lighting<'a> {
     }
 
     /// Gives what an exchange may be off by: operator errors grow by ρ / (1 - ρ), and the solver
-    /// has a half of the error.
+    /// has a quarter of the error.
     pub(crate) fn operator_tolerance(&self) -> f64 {
         let rho = self.max_albedo().max(0.1);
         self.options.error * (1.0 - rho) / rho
@@ -198,6 +201,7 @@ impl<'a> Lighting<'a> {
             order: None,
             operator_error: 0.0,
             row_error: 0.0,
+            iterations: 0,
             residual: 0.0,
             work,
             stats: ExchangeStats::default(),
@@ -240,15 +244,53 @@ impl<'a> Lighting<'a> {
         lit: &mut Lit,
         watch: &dyn Watch,
     ) -> Result<(), LightError> {
-        lit.channels.clear();
-        for (channel, incident) in scene.channels.iter().zip(incident) {
-            check(watch)?;
-            watch.stage("solve", None, "rounds");
-            let given = (channel.clone(), incident.clone());
-            let done = self.channel(scene, given, lit, watch)?;
-            lit.channels.push(done);
-        }
+        let found = match scene.balanced {
+            Some(balanced) => self.exchanged(scene, balanced, incident, lit, watch)?,
+            None => Vec::new(),
+        };
+        let channel = |(index, given): (usize, &Channel)| {
+            self.channel(given, &incident[index], found.get(index))
+        };
+        lit.channels = scene.channels.iter().enumerate().map(channel).collect();
         Ok(())
+    }
+
+    /// Finds what elements exchange, in all channels.
+    fn exchanged(
+        &self,
+        scene: &Solved<'_>,
+        balanced: &Balanced<'_>,
+        incident: &[Vec<f64>],
+        lit: &mut Lit,
+        watch: &dyn Watch,
+    ) -> Result<Vec<Solution>, LightError> {
+        watch.stage("solve", None, "rounds");
+        let has_bounces = scene.plan.is_on(Effect::Bounces);
+        let nothing = vec![0.0; self.elements.len()];
+        // What arrives from outside is as good as emitted where it is reflected; without bounces
+        // others see what shines by itself alone.
+        let shining = |(given, incident): (&Channel, &Vec<f64>)| -> Vec<f64> {
+            let rows = given.emission.iter().zip(&given.albedo).zip(incident);
+            rows.map(|((e, rho), h)| if has_bounces { e + rho * h } else { *e }).collect()
+        };
+        let shining: Vec<_> = scene.channels.iter().zip(incident).map(shining).collect();
+        let given = shining.iter().zip(scene.channels).map(|(shining, given)| {
+            (&shining[..], if has_bounces { &given.albedo[..] } else { &nothing[..] })
+        });
+        let given: Vec<_> = given.collect();
+        // Below an albedo of 1 it does not matter by how much a row is less than its area.
+        let needs_rows = scene.channels.iter().any(|given| given.albedo.contains(&1.0));
+        let operator = Watched { balanced, watch, needs_rows, n_applications: Cell::new(0) };
+        let found = solve_each(&operator, &given, &self.solve_options())?;
+        lit.work.n_applications += operator.n_applications.get();
+        for found in &found {
+            lit.work.n_iterations += found.iterations as u64;
+            lit.iterations = lit.iterations.max(found.iterations);
+            lit.residual = lit.residual.max(found.residual);
+        }
+        lit.operator_error =
+            found.first().map_or(0.0, |first| self.operator_error(balanced, first));
+        Ok(found)
     }
 
     /// Sums what arrives at all elements.
@@ -308,12 +350,13 @@ impl<'a> Lighting<'a> {
     ) -> Result<Balanced<'e>, LightError> {
         watch.stage("scale", None, "rounds");
         let scene = if plan.is_closed { Scene::Closed } else { Scene::Open };
+        let tolerance = self.operator_tolerance();
         let balanced = match scaling {
-            Some(scaling) => Balanced::again(exchange, scaling)?,
-            None => {
-                let tolerance = self.operator_tolerance();
-                Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?
+            Some(scaling) => {
+                let some = self.some(N_COMPARED);
+                Balanced::again(exchange, scene, scaling, (&some, tolerance))?
             }
+            None => Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?,
         };
         lit.scale = balanced.scale().to_vec();
         lit.row_error = balanced.row_error();
@@ -324,52 +367,21 @@ impl<'a> Lighting<'a> {
         Ok(balanced)
     }
 
-    /// Lights one channel.
-    fn channel(
-        &self,
-        scene: &Solved<'_>,
-        (given, incident): (Channel, Vec<f64>),
-        lit: &mut Lit,
-        watch: &dyn Watch,
-    ) -> Result<LitChannel, LightError> {
-        let Solved { plan, balanced, .. } = *scene;
+    /// Joins what arrives from outside and what elements exchange.
+    fn channel(&self, given: &Channel, incident: &[f64], found: Option<&Solution>) -> LitChannel {
         let areas = self.elements.areas();
-        let mut irradiance = incident;
-        let from_outside = self.flux_of(&irradiance);
-        let mut exchanged = 0.0;
-        if let Some(balanced) = balanced {
-            let has_bounces = plan.is_on(Effect::Bounces);
-            let nothing = vec![0.0; areas.len()];
-            // What arrives from outside is as good as emitted where it is reflected; without
-            // bounces others see what shines by itself alone.
-            let rows = given.emission.iter().zip(&given.albedo).zip(&irradiance);
-            let shining: Vec<f64> = rows.map(|((e, rho), h)| e + rho * h).collect();
-            let (shining, albedo) = match has_bounces {
-                true => (&shining, &given.albedo),
-                false => (&given.emission, &nothing),
-            };
-            // Below an albedo of 1 it does not matter by how much a row is less than its area.
-            let needs_rows = given.albedo.contains(&1.0);
-            let operator = Watched { balanced, watch, needs_rows };
-            let found = solve(&operator, shining, albedo, &self.solve_options())?;
-            lit.work.n_iterations += found.iterations as u64;
-            lit.work.n_applications += found.iterations as u64 + 1;
-            lit.residual = lit.residual.max(found.residual);
-            exchanged = self.flux_of(&found.irradiance);
-            if lit.channels.is_empty() {
-                lit.operator_error = self.operator_error(balanced, &found);
-            }
-            irradiance.iter_mut().zip(&found.irradiance).for_each(|(h, more)| *h += more);
-        }
+        let from_others = found.map_or(&[][..], |found| &found.irradiance);
+        let mut irradiance = incident.to_vec();
+        irradiance.iter_mut().zip(from_others).for_each(|(h, more)| *h += more);
         let rows = given.emission.iter().zip(&given.albedo).zip(&irradiance);
         let exitance: Vec<f64> = rows.map(|((e, rho), h)| e + rho * h).collect();
-        let emitted = sum(areas.iter().zip(&given.emission).map(|(a, e)| a * e)) + from_outside;
+        let emitted = self.flux_of(&given.emission) + self.flux_of(incident);
         let rows = areas.iter().zip(&irradiance).zip(&given.albedo);
         let absorbed = sum(rows.map(|((a, h), rho)| a * h * (1.0 - rho)));
-        let left = sum(areas.iter().zip(&exitance).map(|(a, b)| a * b));
-        let escaped = left - exchanged;
-        let balance = FluxBalance { emitted, absorbed, escaped, clipped: 0.0 };
-        Ok(LitChannel { given, exitance, irradiance, balance })
+        let escaped = self.flux_of(&exitance) - self.flux_of(from_others);
+        let clipped = found.map_or(0.0, |found| found.balance.clipped);
+        let balance = FluxBalance { emitted, absorbed, escaped, clipped };
+        LitChannel { given: given.clone(), exitance, irradiance, balance }
     }
 
     /// Says how far the grids are off at some elements, lit as they are.
@@ -391,6 +403,7 @@ struct Watched<'e, 'w> {
     balanced: &'e Balanced<'e>,
     watch: &'w dyn Watch,
     needs_rows: bool,
+    n_applications: Cell<u64>,
 }
 
 impl Operator for Watched<'_, '_> {
@@ -399,8 +412,13 @@ impl Operator for Watched<'_, '_> {
     }
 
     fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError> {
+        Ok(self.apply_each(&[b])?.swap_remove(0))
+    }
+
+    fn apply_each(&self, b: &[&[f64]]) -> Result<Vec<Vec<f64>>, LightError> {
         check(self.watch)?;
-        let flux = self.balanced.apply(b)?;
+        let flux = self.balanced.apply_each(b)?;
+        self.n_applications.set(self.n_applications.get() + 1);
         self.watch.advance(1);
         Ok(flux)
     }

@@ -7,6 +7,8 @@
 //! symmetric, and positive definite while less is reflected than arrives. So B = E to the bit where
 //! nothing is reflected or nothing shines.
 
+use std::borrow::Cow;
+
 use crate::error::LightError;
 use crate::material::check_each;
 use crate::sum::sum;
@@ -21,6 +23,14 @@ pub trait Operator {
     /// # Errors
     /// Where there are not as many values as elements.
     fn apply(&self, b: &[f64]) -> Result<Vec<f64>, LightError>;
+
+    /// Gives G b for each of some b, the same bits as one by one.
+    ///
+    /// # Errors
+    /// Those of [`Operator::apply`].
+    fn apply_each(&self, b: &[&[f64]]) -> Result<Vec<Vec<f64>>, LightError> {
+        b.iter().map(|b| self.apply(b)).collect()
+    }
 
     /// Gives Σ_j G_ij of each element.
     ///
@@ -109,39 +119,88 @@ pub fn solve(
     albedo: &[f64],
     options: &SolveOptions,
 ) -> Result<Solution, LightError> {
+    Ok(solve_each(operator, &[(emission, albedo)], options)?.swap_remove(0))
+}
+
+/// Solves for several channels, emission and albedo each, side by side: what [`solve`] finds for
+/// each, to the bit.
+///
+/// # Errors
+/// Those of [`solve`], for any of them.
+pub(crate) fn solve_each(
+    operator: &impl Operator,
+    channels: &[(&[f64], &[f64])],
+    options: &SolveOptions,
+) -> Result<Vec<Solution>, LightError> {
     let areas = operator.areas();
-    check_each(areas.len(), "emission", "0 or more", emission, |e| e >= 0.0 && e.is_finite())?;
-    check_each(areas.len(), "albedo", "between 0 and 1", albedo, |rho| (0.0..=1.0).contains(&rho))?;
+    let n = areas.len();
+    for (emission, albedo) in channels {
+        check_each(n, "emission", "0 or more", emission, |e| e >= 0.0 && e.is_finite())?;
+        check_each(n, "albedo", "between 0 and 1", albedo, |rho| (0.0..=1.0).contains(&rho))?;
+    }
     let is_legal = options.tolerance > 0.0 && options.tolerance < f64::INFINITY;
     if !is_legal {
         let (what, range) = ("the tolerance", "above 0");
         return Err(LightError::Setting { what, value: options.tolerance, range });
     }
-    let emitted = sum(areas.iter().zip(emission).map(|(a, e)| a * e));
-    if emitted == 0.0 {
-        return Ok(Solution::dark(areas.len(), options.method));
-    }
-    let row_sums = operator.row_sums()?;
-    let reflected = reflected(operator, &row_sums, albedo)?;
-    let limit = options.tolerance * (1.0 - reflected) * emitted;
-    let system = System { operator, emission, albedo };
-    let mut state = State::begin(&system, options.method)?;
-    // NaN is not below the limit: it must not pass for a solution.
-    let is_met = |residual: f64| residual <= limit;
-    while !is_met(state.residual) {
-        let (residual, iterations) = (state.residual, state.iterations);
-        if !residual.is_finite() {
-            return Err(LightError::NotFinite { residual, iterations });
+    let emitted = |emission: &[f64]| sum(areas.iter().zip(emission).map(|(a, e)| a * e));
+    let shines = channels.iter().any(|(emission, _)| emitted(emission) > 0.0);
+    let row_sums = if shines { operator.row_sums()? } else { Vec::new() };
+    let mut systems = Vec::new();
+    for &(emission, albedo) in channels {
+        let emitted = emitted(emission);
+        if emitted > 0.0 {
+            let loss = 1.0 - reflected(operator, &row_sums, albedo)?;
+            systems.push(System { operator, emission, albedo, emitted, loss });
         }
-        if iterations >= options.max_iterations {
-            let relative = residual / (emitted * (1.0 - reflected));
-            let tolerance = options.tolerance;
-            return Err(LightError::NotConverged { iterations, residual: relative, tolerance });
-        }
-        state.step(&system)?;
     }
-    let residual = state.residual / (emitted * (1.0 - reflected));
-    finish(&system, state, residual, emitted, &row_sums)
+    let mut states = State::begin(&systems, options.method)?;
+    iterate(operator, &systems, &mut states, options)?;
+    let mut solved = systems.iter().zip(states);
+    let solution = |(emission, _): &(&[f64], &[f64])| match emitted(emission) > 0.0 {
+        true => match solved.next() {
+            Some((system, state)) => finish(system, state, &row_sums),
+            None => unreachable!("a system for each channel that shines"),
+        },
+        false => Ok(Solution::dark(n, options.method)),
+    };
+    channels.iter().map(solution).collect()
+}
+
+/// Goes on until no system lacks more than may be wrong.
+fn iterate<O: Operator>(
+    operator: &O,
+    systems: &[System<'_, O>],
+    states: &mut [State],
+    options: &SolveOptions,
+) -> Result<(), LightError> {
+    loop {
+        let mut running = Vec::new();
+        for (system, state) in systems.iter().zip(states.iter_mut()) {
+            let (residual, iterations) = (state.residual, state.iterations);
+            // NaN is not below the limit: it must not pass for a solution.
+            if residual <= options.tolerance * system.loss * system.emitted {
+                continue;
+            }
+            if !residual.is_finite() {
+                return Err(LightError::NotFinite { residual, iterations });
+            }
+            if iterations >= options.max_iterations {
+                let (residual, tolerance) = (system.relative(residual), options.tolerance);
+                return Err(LightError::NotConverged { iterations, residual, tolerance });
+            }
+            running.push((system, state));
+        }
+        if running.is_empty() {
+            return Ok(());
+        }
+        let asked: Vec<_> = running.iter().map(|(system, state)| state.asks(system)).collect();
+        let asked: Vec<&[f64]> = asked.iter().map(|b| &b[..]).collect();
+        let applied = operator.apply_each(&asked)?;
+        for ((system, state), applied) in running.into_iter().zip(applied) {
+            state.step(system, applied);
+        }
+    }
 }
 
 /// Gives max ρ_i Σ_j G_ij / A_i, a bound on what one bounce leaves of light; below 1.
@@ -166,9 +225,18 @@ struct System<'a, O> {
     operator: &'a O,
     emission: &'a [f64],
     albedo: &'a [f64],
+    /// Σ A E.
+    emitted: f64,
+    /// What a bounce takes from light at the least, a share of it.
+    loss: f64,
 }
 
 impl<O: Operator> System<'_, O> {
+    /// Gives the flux that a residual may leave out, as a share of what is emitted.
+    fn relative(&self, residual: f64) -> f64 {
+        residual / (self.emitted * self.loss)
+    }
+
     /// Gives (ρ/A) v.
     fn reflect(&self, flux: &[f64]) -> Vec<f64> {
         let rows = self.albedo.iter().zip(self.operator.areas()).zip(flux);
@@ -180,14 +248,15 @@ impl<O: Operator> System<'_, O> {
         sum(self.albedo.iter().zip(residual).map(|(rho, r)| rho * r.abs()))
     }
 
-    /// Gives (A/ρ) x - G x where something is reflected, else -G x; x is 0 there.
-    fn product(&self, x: &[f64]) -> Result<Vec<f64>, LightError> {
-        let mut out = self.operator.apply(x)?;
+    /// Gives (A/ρ) x where something is reflected, else 0; x is 0 there.
+    fn diagonal(&self, x: &[f64]) -> impl Iterator<Item = f64> {
         let rows = self.albedo.iter().zip(self.operator.areas()).zip(x);
-        for (out, ((&rho, area), x)) in out.iter_mut().zip(rows) {
-            *out = if rho > 0.0 { area / rho * x - *out } else { -*out };
-        }
-        Ok(out)
+        rows.map(|((&rho, area), x)| if rho > 0.0 { area / rho * x } else { 0.0 })
+    }
+
+    /// Gives E + x.
+    fn lit(&self, x: &[f64]) -> Vec<f64> {
+        self.emission.iter().zip(x).map(|(e, x)| e + x).collect()
     }
 }
 
@@ -208,11 +277,20 @@ struct State {
 }
 
 impl State {
-    fn begin<O: Operator>(system: &System<'_, O>, method: Method) -> Result<State, LightError> {
-        let r = system.operator.apply(system.emission)?;
-        let p = system.reflect(&r);
-        let (rz, residual) = (dot(&r, &p), system.size(&r));
-        Ok(State { method, x: vec![0.0; r.len()], r, p, rz, residual, iterations: 0 })
+    /// Begins with what all emit.
+    fn begin<O: Operator>(
+        systems: &[System<'_, O>],
+        method: Method,
+    ) -> Result<Vec<State>, LightError> {
+        let Some(first) = systems.first() else { return Ok(Vec::new()) };
+        let emission: Vec<&[f64]> = systems.iter().map(|system| system.emission).collect();
+        let arriving = first.operator.apply_each(&emission)?;
+        let states = systems.iter().zip(arriving).map(|(system, r)| {
+            let p = system.reflect(&r);
+            let (rz, residual) = (dot(&r, &p), system.size(&r));
+            State { method, x: vec![0.0; r.len()], r, p, rz, residual, iterations: 0 }
+        });
+        Ok(states.collect())
     }
 
     /// Gives G (E + x): the residual says it, but that of Jacobi iteration is one bounce behind.
@@ -224,26 +302,31 @@ impl State {
         if self.method == Method::Jacobi && self.iterations > 0 {
             return system.operator.apply(exitance);
         }
-        let rows =
-            system.albedo.iter().zip(system.operator.areas()).zip(self.x.iter().zip(&self.r));
-        let flux = |((rho, area), (x, r)): ((&f64, &f64), (&f64, &f64))| {
-            if *rho > 0.0 { r + area / rho * x } else { *r }
-        };
-        Ok(rows.map(flux).collect())
+        Ok(self.r.iter().zip(system.diagonal(&self.x)).map(|(r, product)| r + product).collect())
     }
 
-    fn step<O: Operator>(&mut self, system: &System<'_, O>) -> Result<(), LightError> {
+    /// Gives what the exchange is to be applied to next.
+    fn asks<'s, O: Operator>(&'s self, system: &System<'_, O>) -> Cow<'s, [f64]> {
+        match self.method {
+            Method::ConjugateGradients => Cow::Borrowed(&self.p),
+            Method::Jacobi => Cow::Owned(system.lit(&self.x)),
+        }
+    }
+
+    /// Goes on with what was asked for.
+    fn step<O: Operator>(&mut self, system: &System<'_, O>, mut applied: Vec<f64>) {
         self.iterations += 1;
-        if self.method == Method::ConjugateGradients {
-            let product = system.product(&self.p)?;
-            let curvature = dot(&self.p, &product);
-            if curvature > 0.0 && self.rz / curvature < f64::INFINITY {
-                self.conjugate_step(system, &product, self.rz / curvature);
-                return Ok(());
-            }
+        if self.method == Method::Jacobi {
+            return self.jacobi_step(system, &applied);
+        }
+        let diagonal = system.diagonal(&self.p);
+        applied.iter_mut().zip(diagonal).for_each(|(product, own)| *product = own - *product);
+        let curvature = dot(&self.p, &applied);
+        if curvature > 0.0 && self.rz / curvature < f64::INFINITY {
+            self.conjugate_step(system, &applied, self.rz / curvature);
+        } else {
             self.method = Method::Jacobi;
         }
-        self.jacobi_step(system)
     }
 
     fn conjugate_step<O: Operator>(&mut self, system: &System<'_, O>, product: &[f64], step: f64) {
@@ -257,15 +340,13 @@ impl State {
     }
 
     /// Adds one more bounce: x ← (ρ/A) G (E + x).
-    fn jacobi_step<O: Operator>(&mut self, system: &System<'_, O>) -> Result<(), LightError> {
-        let lit: Vec<f64> = system.emission.iter().zip(&self.x).map(|(e, x)| e + x).collect();
-        let next = system.reflect(&system.operator.apply(&lit)?);
+    fn jacobi_step<O: Operator>(&mut self, system: &System<'_, O>, arriving: &[f64]) {
+        let next = system.reflect(arriving);
         let areas = system.operator.areas();
         let steps = next.iter().zip(&self.x).zip(areas).map(|((next, x), a)| a * (next - x).abs());
         // What it was before this step; after it, less.
         self.residual = sum(steps);
         self.x = next;
-        Ok(())
     }
 }
 
@@ -273,12 +354,10 @@ impl State {
 fn finish<O: Operator>(
     system: &System<'_, O>,
     state: State,
-    residual: f64,
-    emitted: f64,
     row_sums: &[f64],
 ) -> Result<Solution, LightError> {
     let (areas, albedo) = (system.operator.areas(), system.albedo);
-    let exitance: Vec<f64> = system.emission.iter().zip(&state.x).map(|(e, x)| e + x).collect();
+    let exitance = system.lit(&state.x);
     let flux = state.arriving(system, &exitance)?;
     let absorbed = sum(flux.iter().zip(albedo).map(|(flux, rho)| (1.0 - rho) * flux));
     let rows = areas.iter().zip(row_sums).zip(&exitance);
@@ -289,9 +368,9 @@ fn finish<O: Operator>(
         exitance: lit.collect(),
         irradiance: flux.iter().zip(areas).map(|(flux, area)| flux.max(0.0) / area).collect(),
         iterations: state.iterations,
-        residual,
+        residual: system.relative(state.residual),
         method: state.method,
-        balance: FluxBalance { emitted, absorbed, escaped, clipped },
+        balance: FluxBalance { emitted: system.emitted, absorbed, escaped, clipped },
     })
 }
 

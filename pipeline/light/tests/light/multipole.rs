@@ -323,6 +323,43 @@ fn n88_any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
+fn several_at_once_are_each_as_alone() {
+    let case = room_with_ball(9);
+    let mut rng = Rng::with_seed(14);
+    let n = case.elements.len();
+    // Of sizes that single precision would not hold side by side.
+    let b =
+        [1e-30, 1.0, 1e40, 3.0].map(|size| (0..n).map(|_| size * rng.f64()).collect::<Vec<_>>());
+    for exchange in [case.direct(), case.multipole(3), case.multipole(5)] {
+        let alone: Vec<Vec<f64>> = b.iter().map(|b| exchange.apply(b).unwrap()).collect();
+        for together in 1..=4 {
+            let b: Vec<&[f64]> = b[..together].iter().map(|b| &b[..]).collect();
+            assert!(exchange.apply_each(&b).unwrap() == alone[..together], "{together}");
+        }
+    }
+    assert!(case.direct().apply_each(&[&b[0], &b[1][1..]]).is_err());
+}
+
+#[test]
+fn grids_of_lower_order_stand_for_what_is_far() {
+    // Two walls of 400 elements each, 10 of their widths apart: one place each is enough.
+    let wall = |z: f64, up: f64| {
+        (0..400).map(move |i| {
+            let (x, y) = (f64::from(i / 20) / 20.0, f64::from(i % 20) / 20.0);
+            element([x, y, z], [0.0, 0.0, up], 1.0 / 400.0)
+        })
+    };
+    for (distance, n_places) in [(2.0, 9), (10.0, 4), (60.0, 1)] {
+        let case = Case::new(wall(0.0, 1.0).chain(wall(distance, -1.0)).collect(), faces);
+        let exchange = case.multipole(3);
+        let stats = exchange.stats();
+        assert_eq!(stats.n_near_pairs, 0, "{distance}: {stats:?}");
+        assert!(case.error(3) <= bound(3), "{distance}");
+        assert_eq!(stats.n_far_pairs / stats.n_far as u64, n_places * n_places, "{distance}");
+    }
+}
+
+#[test]
 fn what_is_held_is_told() {
     let case = room_with_ball(12);
     let direct = case.direct().stats();
