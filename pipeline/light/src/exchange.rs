@@ -186,19 +186,21 @@ impl Exchange {
         }
         let within = (error_of(order), limit_bytes);
         let pairs = walk(&hierarchy, &bounds, &grids, kernel, within, links)?;
-        let near = of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
+        let near = || of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
+        let stations = Stations::of(&hierarchy, &grids);
         let both =
             |&(a, b): &(u32, Partner)| [(a, b), (b.station(), Partner::new(a, b.is_turned()))];
         let far = || pairs.iter().flat_map(|pairs| &pairs.far).flat_map(both);
-        let stations = Stations::of(&hierarchy, &grids);
-        let lists = Lists::of(stations.len(), far);
         let c = kernel.regularisation();
         let places = |node: u32| {
             let softening = c * bounds[node as usize].area().0;
             grids.of_node(node).iter().flat_map(Grid::places).map(move |x| (x, softening))
         };
-        let of_grids = (0..hierarchy.n_nodes()).flat_map(places);
-        let precision = Precision::of(&elements, (order, c), of_grids);
+        let of_grids = || (0..hierarchy.n_nodes()).flat_map(places);
+        let (near, (lists, precision)) = rayon::join(near, || {
+            let precision = || Precision::of(&elements, (order, c), of_grids());
+            rayon::join(|| Lists::of(stations.len(), far), precision)
+        });
         let far = Some(Far { order, grids, stations, lists });
         Exchange {
             elements,
@@ -388,10 +390,13 @@ impl Exchange {
     /// Counts what there is to compute and to hold.
     pub fn stats(&self) -> ExchangeStats {
         let size = |span: Span| u64::from(span.1 - span.0);
-        let near = self.interactions().filter(|one| !one.is_far);
+        let near = |node| {
+            let sources = self.near.of_node(node).iter().map(|&span| size(span)).sum::<u64>();
+            size(self.hierarchy.node(node).elements) * sources
+        };
         let mut stats = ExchangeStats {
             n_near_ranges: self.near.n_entries(),
-            n_near_pairs: near.map(|one| size(one.targets) * size(one.sources)).sum(),
+            n_near_pairs: (0..self.hierarchy.n_nodes()).map(near).sum(),
             n_shares: self.shares.n_entries(),
             held_bytes: self.near.held_bytes()
                 + self.shares.held_bytes()

@@ -91,21 +91,22 @@ impl<T: Number, const C: usize> Block<T, C> {
     #[inline(always)]
     fn push(
         &mut self,
-        columns: &Columns<T>,
+        columns: &[&[T]; 8],
         b: &[&[T]; C],
         from: (usize, usize),
         part: Option<T>,
     ) -> bool {
-        for (column, to) in columns.0.iter().zip(&mut self.columns) {
-            copy_lanes(column, from, &mut to[self.n..]);
+        let n = self.n;
+        for (column, to) in columns.iter().zip(&mut self.columns) {
+            copy_lanes(column, from, &mut to[n..]);
         }
         for (b, to) in b.iter().zip(&mut self.exitances) {
-            copy_lanes(b, from, &mut to[self.n..]);
+            copy_lanes(b, from, &mut to[n..]);
             if let Some(part) = part {
-                to[self.n..self.n + from.1 - from.0].iter_mut().for_each(|b| *b = part * *b);
+                to[n..n + from.1 - from.0].iter_mut().for_each(|b| *b = part * *b);
             }
         }
-        self.n += from.1 - from.0;
+        self.n = n + from.1 - from.0;
         self.n >= SOURCES
     }
 
@@ -144,13 +145,17 @@ pub(crate) fn receive<T: Number, const C: usize>(
     first: usize,
     flux: &mut [[f64; C]],
 ) {
+    // Cut to one length, which is then looked at once for all.
+    let n = columns.0[0].len();
+    let sources = columns.0.each_ref().map(|column| &column[..n]);
+    let b = b.map(|b| &b[..n]);
     let whole = spans.iter().map(|&span| (span, None));
     let parts = shares.iter().map(|share| (share.elements, Some(T::of(share.part()))));
     for ((from, to), part) in whole.chain(parts) {
         let (mut from, to) = (from as usize, to as usize);
         while from < to {
             let next = to.min(from + LANES);
-            if block.push(columns, b, (from, next), part) {
+            if block.push(&sources, &b, (from, next), part) {
                 block.send(c, columns, first, flux);
             }
             from = next;

@@ -28,9 +28,10 @@ const N_LOOKED_FROM: usize = 256;
 /// a grid and another, roughly: for costs that are said beforehand.
 const SEGMENT_SECONDS: f64 = 5e-6;
 const PAIR_SECONDS: f64 = 1.5e-9;
-/// Bytes held for an element, a node and a pair with a visible fraction, at the most.
-const ELEMENT_BYTES: u64 = 128 + 6 * 8 + 12 + 24 * 8;
-const NODE_BYTES: u64 = 24 + 128 + 72 + 64;
+/// Bytes held for an element, a node and a pair with a visible fraction, at the most: numbers in
+/// both precisions, materials and incident light, what passes and solver hold of three channels.
+const ELEMENT_BYTES: u64 = 128 + 12 * 8 + 3 * (8 + 24 + 24 + 8) + 3 * 6 * 8;
+const NODE_BYTES: u64 = 24 + 128 + 72 + 20 + 160;
 const FRACTION_BYTES: u64 = 12 + 2 * 16 + 2 * 12;
 /// Of a count that never was, with 95 % certainty the rate is below this over the tries.
 const NEVER: f64 = 3.0;

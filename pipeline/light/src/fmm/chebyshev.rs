@@ -50,14 +50,31 @@ pub(crate) fn nodes(order: usize) -> &'static [f64] {
 
 /// Gives T_0…T_6 at a place.
 #[inline]
-fn polynomials(u: f64) -> [f64; MAX_ORDER] {
+const fn polynomials(u: f64) -> [f64; MAX_ORDER] {
     let mut t = [1.0; MAX_ORDER];
     t[1] = u;
-    for k in 2..MAX_ORDER {
+    let mut k = 2;
+    while k < MAX_ORDER {
         t[k] = 2.0 * u * t[k - 1] - t[k - 2];
+        k += 1;
     }
     t
 }
+
+/// T_0…T_6 at the nodes of each order.
+const AT_NODES: [[[f64; MAX_ORDER]; MAX_ORDER]; MAX_ORDER + 1] = {
+    let mut all = [[[0.0; MAX_ORDER]; MAX_ORDER]; MAX_ORDER + 1];
+    let mut order = 1;
+    while order <= MAX_ORDER {
+        let mut m = 0;
+        while m < order {
+            all[order][m] = polynomials(NODES[order][m]);
+            m += 1;
+        }
+        order += 1;
+    }
+    all
+};
 
 /// Gives the weight of each node of an order for a place u: S(t_m, u) = 1/p + 2/p Σ T_k(t_m) T_k(u)
 /// over k = 1…p-1. A polynomial of degree p - 1 is the sum of its values at the nodes so weighted.
@@ -65,8 +82,7 @@ fn polynomials(u: f64) -> [f64; MAX_ORDER] {
 pub(crate) fn weights(order: usize, u: f64) -> [f64; MAX_ORDER] {
     let at_u = polynomials(u);
     let mut weights = [0.0; MAX_ORDER];
-    for (weight, &t) in weights.iter_mut().zip(nodes(order)) {
-        let at_node = polynomials(t);
+    for (weight, at_node) in weights.iter_mut().zip(&AT_NODES[order]).take(order) {
         let sum: f64 = (1..order).map(|k| at_node[k] * at_u[k]).sum();
         *weight = (1.0 + 2.0 * sum) / order as f64;
     }

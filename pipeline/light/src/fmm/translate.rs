@@ -30,14 +30,20 @@ impl<T: Number, const C: usize> Sources<T, C> {
     /// Takes a place with the vectors at it; says whether there is no room for another.
     #[inline(always)]
     fn push(&mut self, place: &Place<T>, vectors: &Vectors<T, C>, sign: T) -> bool {
-        for (column, v) in self.places.iter_mut().zip(place) {
-            column[self.n] = *v;
+        let n = self.n;
+        if n >= SOURCES {
+            unreachable!("what is full is sent");
         }
-        for (column, v) in self.vectors.as_flattened_mut().iter_mut().zip(vectors.as_flattened()) {
-            column[self.n] = sign * *v;
+        for i in 0..4 {
+            self.places[i][n] = place[i];
         }
-        self.n += 1;
-        self.n == SOURCES
+        for channel in 0..C {
+            for axis in 0..3 {
+                self.vectors[channel][axis][n] = sign * vectors[channel][axis];
+            }
+        }
+        self.n = n + 1;
+        n + 1 == SOURCES
     }
 
     /// Adds the field of these at some places, and takes none any more.

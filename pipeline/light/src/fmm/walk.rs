@@ -11,6 +11,10 @@ use crate::fmm::grid::Grids;
 use crate::fmm::station::{self, Partner};
 use crate::hierarchy::{Hierarchy, Links, Span};
 
+/// Elements of a node that are taken one by one at the most; there are more under some that have no
+/// full grid, and parts of them face another node or do not.
+const MAX_NEAR: u32 = 12;
+
 /// Pairs, each once, that hold every pair of elements under the links exactly once.
 #[derive(Debug, Default)]
 pub(crate) struct Pairs {
@@ -89,10 +93,9 @@ impl Walk<'_> {
         if self.bounds[a as usize].is_empty() || self.bounds[b as usize].is_empty() {
             return Verdict::Nothing;
         }
-        let is_open = |node| self.grids.full(node).is_some();
         match self.as_wholes(a, b) {
             Some(verdict) => verdict,
-            None if is_open(a) || is_open(b) => Verdict::Split,
+            None if self.is_open(a) || self.is_open(b) => Verdict::Split,
             None => Verdict::Near,
         }
     }
@@ -165,14 +168,21 @@ impl Walk<'_> {
         }
     }
 
-    /// Says whether the first of two nodes is to be split: the one with the larger box, but none
-    /// without a full grid.
+    /// Says whether the first of two nodes is to be split: the one with the larger box of those
+    /// that are looked into.
     fn splits_first(&self, a: u32, b: u32) -> bool {
         let width = |node: u32| self.bounds[node as usize].half_width();
-        match (self.grids.full(a), self.grids.full(b)) {
-            (Some(_), Some(_)) => width(a) >= width(b),
-            (first, _) => first.is_some(),
+        match (self.is_open(a), self.is_open(b)) {
+            (true, true) => width(a) >= width(b),
+            (first, _) => first,
         }
+    }
+
+    /// Says whether a node is looked into where it cannot be taken as a whole.
+    fn is_open(&self, node: u32) -> bool {
+        let (first, end) = self.hierarchy.node(node).elements;
+        let has_grid = !self.grids.of_node(node).is_empty();
+        self.grids.full(node).is_some() || has_grid && end - first > MAX_NEAR
     }
 }
 
