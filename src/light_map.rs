@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use pvmap_light::{Elements, Gloss, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work};
 use pvmap_query::Map;
+use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::{LightSummary, LightView, MapView};
 
@@ -82,7 +83,12 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let Assigned { materials, lamps, sky, notes } =
         lights.assign(map.view(), &elements, classes.as_deref())?;
     let gloss = materials.gloss.clone();
-    let options = LightOptions { memory_bytes: limits.memory_bytes, ..request.options.clone() };
+    let beside = request.output.as_deref().map(|output| folder_of(output).to_path_buf());
+    let options = LightOptions {
+        memory_bytes: limits.memory_bytes,
+        spill_folder: Some(beside.unwrap_or_else(std::env::temp_dir)),
+        ..request.options.clone()
+    };
     let scene = Lighting::new(&map, elements, materials, lamps, sky, options).map_err(fail)?;
     let planned = scene.plan(watch).map_err(fail)?;
     let n_surfels = map.view().summary().n_surfels;
@@ -185,6 +191,7 @@ pub(crate) fn of_light(map: &Path, e: LightError) -> Error {
     match e {
         LightError::Format(e) => Error::artifact(map, e),
         LightError::Query(e) => Error::of_query(map, e),
+        LightError::Store(e) => e.into(),
         LightError::Stopped => StoreError::Interrupted.into(),
         e @ LightError::Memory { .. } => Error::Config(e.to_string()),
         e => Error::Data(format!("{}: {e}", map.display())),

@@ -272,26 +272,26 @@ fn n84_a_scan_of_any_size_has_the_same_light() {
 }
 
 #[test]
-fn d9_light_holds_what_it_may_or_says_what_it_needs() {
-    let lights = furnace(0.5);
-    let (mut n_lit, mut n_refused) = (0, 0);
-    for (capacity, n_points) in [(50, 60_000), (12, 100_000)] {
-        let bench = built(&room_cloud(n_points), &format!("--leaf-capacity {capacity}"));
-        for (memory_mib, threads, options) in
-            [(64, 2, ""), (64, 8, ""), (64, 2, "--direct"), (400, 8, "--order 2")]
-        {
+fn d9_lists_that_do_not_fit_are_on_disk() {
+    let bench = built(&scene_cloud(SceneKind::Furnished, 60_000), "--leaf-capacity 8");
+    for options in ["", "--order 2", "--direct --error 10%"] {
+        let mut lights = Vec::new();
+        for (memory_mib, threads) in [(64, 2), (64, 8), (2000, 2)] {
             let line = format!("{options} --memory {memory_mib}MiB --threads {threads}");
-            let run = run(&bench, &lights, &line);
+            let run = run(&bench, &furnace(0.5), &line);
             let (held, allowed) = (run.anon_bytes, allowed_bytes(memory_mib * MIB, threads));
+            run.ok();
             assert!(held <= allowed, "{} MiB held: {line}", held / MIB);
-            match run.code {
-                0 => n_lit += 1,
-                _ => {
-                    run.fails(78, &["memory = ", "--memory"]);
-                    n_refused += 1;
-                }
-            }
+            lights.push((held, bench.read("room.light")));
         }
+        let [(small, light), (_, by_eight), (large, in_memory)] = &lights[..] else { panic!() };
+        assert!(light == by_eight && light == in_memory, "other bytes: {options}");
+        assert!(small < large, "nothing was on disk: {small} and {large} bytes, {options}");
     }
-    assert!(n_lit > 0 && n_refused > 0, "{n_lit} lit, {n_refused} refused");
+}
+
+#[test]
+fn d9_light_of_more_surfels_than_fit_says_what_they_take() {
+    let bench = built(&scene_cloud(SceneKind::Empty, 100_000), "--leaf-capacity 1");
+    run(&bench, &furnace(0.5), "--memory 64MiB").fails(78, &["memory = 64 MiB", "takes", "MiB"]);
 }

@@ -1,11 +1,11 @@
 //! Why a scene cannot be lit.
 
 use pvmap_query::QueryError;
-use pvmap_store::Watch;
+use pvmap_store::{StoreError, Watch};
 use pvmap_vmap::FormatError;
 
 /// A failure of the light stage.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum LightError {
     /// An element has a number it cannot have.
     #[error("element {index}: {what}")]
@@ -104,16 +104,22 @@ pub enum LightError {
     /// The map does not answer.
     #[error(transparent)]
     Query(#[from] QueryError),
-    /// There are more pairs than the memory holds.
+    /// There are more elements than the memory holds.
     #[error(
-        "memory = {} MiB: no room for what this map exchanges; raise --memory, or build the map \
-         with --opening-angle 0.1 or --min-exchange 1e-6, which pairs more at a time",
-        limit_bytes >> 20
+        "memory = {} MiB: light of so many surfels takes {} MiB, its lists on disk; raise --memory, or \
+         build the map with a lower max_level or a larger leaf_capacity",
+        limit_bytes >> 20,
+        need_bytes.div_ceil(1 << 20)
     )]
     Memory {
         /// What there is for them, in bytes.
         limit_bytes: u64,
+        /// What they take.
+        need_bytes: u64,
     },
+    /// What does not fit the memory cannot be written to disk.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// The run was asked to stop.
     #[error("stopped")]
     Stopped,

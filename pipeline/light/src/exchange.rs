@@ -1,5 +1,6 @@
 //! The exchange of light between all elements that see each other, as an operator.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use pvmap_vmap::Fraction;
@@ -15,7 +16,7 @@ use crate::fmm::station::{MAX_STATIONS, Partner, Stations, of_elements};
 use crate::fmm::walk::{Pairs, Walk};
 use crate::hierarchy::{Hierarchy, Links, Span, Subtree};
 use crate::kernel::Kernel;
-use crate::lists::{Lists, of_spans};
+use crate::lists::{Lengths, Lists};
 use crate::near_field::{Corrections, corrections};
 use crate::passes::Passes;
 use crate::precision::Precision;
@@ -67,6 +68,10 @@ pub(crate) struct Far {
     pub(crate) lists: Lists<Partner>,
 }
 
+/// Memory for lists and the pairs they are made of, and the folder for them if there are more; none
+/// holds them all.
+pub(crate) type Spill<'a> = Option<(u64, &'a Path)>;
+
 /// Ranges of elements all pairs of which an operator takes, from `sources` to `targets`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interaction {
@@ -103,7 +108,7 @@ impl Exchange {
     /// Takes every pair of elements under the links by itself: the oracle of [`Self::multipole`].
     ///
     /// Memory: 8 bytes for each range of elements on the list of a node (12 for those that are seen
-    /// in part), 128 an element, 32 a node. While it is made 16 for each pair of nodes, too.
+    /// in part), 64 an element, 40 a node. While it is made 8 for each pair of nodes, too.
     /// Time: proportional to the pairs.
     ///
     /// # Errors
@@ -114,25 +119,24 @@ impl Exchange {
         links: &(impl Links + ?Sized),
         kernel: Kernel,
     ) -> Result<Exchange, LightError> {
-        Exchange::within(elements.into(), hierarchy, links, kernel, (None, u64::MAX))
+        Exchange::within(elements.into(), hierarchy, links, kernel, (None, None))
     }
 
-    /// Makes an exchange of some order, or without grids, whose lists take so many bytes at the
-    /// most.
+    /// Makes an exchange of some order, or without grids.
     pub(crate) fn within(
         elements: Arc<Elements>,
         hierarchy: Hierarchy,
         links: &(impl Links + ?Sized),
         kernel: Kernel,
-        (order, limit_bytes): (Option<usize>, u64),
+        (order, spill): (Option<usize>, Spill<'_>),
     ) -> Result<Exchange, LightError> {
         if let Some(order) = order {
-            return Exchange::by_grids(elements, hierarchy, links, kernel, (order, limit_bytes));
+            return Exchange::by_grids(elements, hierarchy, links, kernel, (order, spill));
         }
         let bounds = Bounds::of_all(check_count(&elements, &hierarchy)?, &hierarchy);
         let grids = Grids::none(&hierarchy);
-        let pairs = walk(&hierarchy, &bounds, &grids, kernel, (0.0, limit_bytes), links)?;
-        let near = of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
+        let walk = walk(&hierarchy, &bounds, &grids, kernel, 0.0, links);
+        let (near, _) = lists(&walk, hierarchy.n_nodes() as usize, links, spill)?;
         Exchange {
             elements,
             hierarchy,
@@ -140,7 +144,7 @@ impl Exchange {
             near,
             far: None,
             precision: Precision::Double { places: Vec::new() },
-            shares: Lists::default(),
+            shares: Lists::of(0, std::iter::empty)?,
             corrections: Corrections::default(),
         }
         .with_fractions(links)
@@ -148,10 +152,13 @@ impl Exchange {
 
     /// Takes nodes that are far apart by grids of an order 1…7.
     ///
-    /// Memory beyond that of [`Self::direct`]: 4 bytes for each partner on the list of a node, 72
-    /// a node and 24 a place of a grid; while it is applied 48 more a place and 48 an element. A
-    /// grid has p³ places, p² over a plane that is square to the axes, and only nodes with more
-    /// elements than that have one.
+    /// A node of more elements than that has a full grid of p³ places, p² over a plane that is
+    /// square to the axes; other nodes and, for what is far away, the same ones have grids of lower
+    /// order. Up to order 3 single precision is enough.
+    ///
+    /// Memory beyond that of [`Self::direct`]: 4 bytes for each partner on the list of a grid, 72 a
+    /// grid, 20 a node, and 16 a place and 48 an element in single, 32 each in double precision;
+    /// while it is applied 24 or 48 more a place and an element.
     ///
     /// # Errors
     /// Those of [`Self::direct`], or where there is no such order.
@@ -162,7 +169,7 @@ impl Exchange {
         kernel: Kernel,
         order: usize,
     ) -> Result<Exchange, LightError> {
-        Exchange::by_grids(elements.into(), hierarchy, links, kernel, (order, u64::MAX))
+        Exchange::by_grids(elements.into(), hierarchy, links, kernel, (order, None))
     }
 
     fn by_grids(
@@ -170,7 +177,7 @@ impl Exchange {
         hierarchy: Hierarchy,
         links: &(impl Links + ?Sized),
         kernel: Kernel,
-        (order, limit_bytes): (usize, u64),
+        (order, spill): (usize, Spill<'_>),
     ) -> Result<Exchange, LightError> {
         if !(1..=MAX_ORDER).contains(&order) {
             let (what, range) = ("the order", "1 to 7");
@@ -184,23 +191,19 @@ impl Exchange {
             let what = "is one of too many for the multipole method";
             return Err(LightError::Tree { node: hierarchy.n_nodes() - 1, what });
         }
-        let within = (error_of(order), limit_bytes);
-        let pairs = walk(&hierarchy, &bounds, &grids, kernel, within, links)?;
-        let near = || of_spans(&hierarchy, || pairs.iter().flat_map(|pairs| &pairs.near));
         let stations = Stations::of(&hierarchy, &grids);
-        let both =
-            |&(a, b): &(u32, Partner)| [(a, b), (b.station(), Partner::new(a, b.is_turned()))];
-        let far = || pairs.iter().flat_map(|pairs| &pairs.far).flat_map(both);
+        let walk = walk(&hierarchy, &bounds, &grids, kernel, error_of(order), links);
         let c = kernel.regularisation();
         let places = |node: u32| {
             let softening = c * bounds[node as usize].area().0;
             grids.of_node(node).iter().flat_map(Grid::places).map(move |x| (x, softening))
         };
         let of_grids = || (0..hierarchy.n_nodes()).flat_map(places);
-        let (near, (lists, precision)) = rayon::join(near, || {
-            let precision = || Precision::of(&elements, (order, c), of_grids());
-            rayon::join(|| Lists::of(stations.len(), far), precision)
-        });
+        let (lists, precision) = rayon::join(
+            || lists(&walk, stations.len(), links, spill),
+            || Precision::of(&elements, (order, c), of_grids()),
+        );
+        let (near, lists) = lists?;
         let far = Some(Far { order, grids, stations, lists });
         Exchange {
             elements,
@@ -209,7 +212,7 @@ impl Exchange {
             near,
             far,
             precision,
-            shares: Lists::default(),
+            shares: Lists::of(0, std::iter::empty)?,
             corrections: Corrections::default(),
         }
         .with_fractions(links)
@@ -230,7 +233,7 @@ impl Exchange {
             rows.push((a, Share { elements: elements(b), sixteenths }));
             rows.push((b, Share { elements: elements(a), sixteenths }));
         }
-        self.shares = Lists::of(self.hierarchy.n_nodes() as usize, || rows.iter().copied());
+        self.shares = Lists::of(self.hierarchy.n_nodes() as usize, || rows.iter().copied())?;
         Ok(self)
     }
 
@@ -398,8 +401,8 @@ impl Exchange {
             n_near_ranges: self.near.n_entries(),
             n_near_pairs: (0..self.hierarchy.n_nodes()).map(near).sum(),
             n_shares: self.shares.n_entries(),
-            held_bytes: self.near.held_bytes()
-                + self.shares.held_bytes()
+            held_bytes: self.near.bytes()
+                + self.shares.bytes()
                 + self.corrections.held_bytes()
                 + self.elements.len() * 8 * size_of::<f64>()
                 + self.precision.held_bytes()
@@ -417,7 +420,7 @@ impl Exchange {
             stats.n_grids = far.grids.n_grids();
             stats.n_places = far.grids.n_places();
             stats.held_bytes +=
-                far.lists.held_bytes() + far.grids.held_bytes() + far.stations.held_bytes();
+                far.lists.bytes() + far.grids.held_bytes() + far.stations.held_bytes();
         }
         stats
     }
@@ -433,15 +436,45 @@ fn check_count<'a>(
     (found == expected).then_some(elements).ok_or(LightError::Count { what, found, expected })
 }
 
-fn walk(
-    hierarchy: &Hierarchy,
-    bounds: &[Bounds],
-    grids: &Grids,
+fn walk<'w>(
+    hierarchy: &'w Hierarchy,
+    bounds: &'w [Bounds],
+    grids: &'w Grids,
     kernel: Kernel,
-    (error, limit_bytes): (f64, u64),
+    error: f64,
     links: &(impl Links + ?Sized),
-) -> Result<Vec<Pairs>, LightError> {
+) -> Walk<'w> {
     let (regularisation, all_face) = (kernel.regularisation(), links.all_face());
-    let walk = Walk { hierarchy, bounds, grids, regularisation, error, all_face, limit_bytes };
-    walk.pairs(links)
+    Walk { hierarchy, bounds, grids, regularisation, error, all_face }
+}
+
+/// Makes the lists of nodes and of stations: of all pairs at once where there is room, else in files
+/// of the folder, the pairs found twice instead of held.
+fn lists(
+    walk: &Walk<'_>,
+    n_stations: usize,
+    links: &(impl Links + ?Sized),
+    spill: Spill<'_>,
+) -> Result<(Lists<Span>, Lists<Partner>), LightError> {
+    let tree = walk.hierarchy;
+    let n_nodes = tree.n_nodes() as usize;
+    let limit_bytes = spill.map_or(u64::MAX, |(bytes, _)| bytes);
+    if let Some(found) = walk.all(links, limit_bytes)? {
+        let near = || Lists::of(n_nodes, || found.iter().flat_map(|pairs| pairs.near(tree)));
+        let far = || Lists::of(n_stations, || found.iter().flat_map(Pairs::far));
+        let (near, far) = rayon::join(|| near()?.merged(None), far);
+        return Ok((near?, far?));
+    }
+    let folder = spill.map(|(_, folder)| folder);
+    let (mut near, mut far) = (Lengths::new(n_nodes), Lengths::new(n_stations));
+    walk.each(links, |pairs| {
+        pairs.near(tree).for_each(|(node, _)| near.add(node));
+        pairs.far().for_each(|(station, _)| far.add(station));
+    })?;
+    let (mut near, mut far) = (near.fill(folder)?, far.fill(folder)?);
+    walk.each(links, |pairs| {
+        pairs.near(tree).for_each(|(node, span)| near.put(node, span));
+        pairs.far().for_each(|(station, partner)| far.put(station, partner));
+    })?;
+    Ok((near.done().merged(folder)?, far.done()))
 }

@@ -1,6 +1,7 @@
 //! From materials and lamps to the light of a scene: plan first, then no more than planned.
 
 use std::cell::Cell;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use pvmap_query::Map;
@@ -31,8 +32,10 @@ pub struct LightOptions {
     pub order: Option<usize>,
     /// What is wanted of effects.
     pub wishes: Wishes,
-    /// Memory that the lists of the exchange may take.
+    /// Memory that the exchange may take.
     pub memory_bytes: u64,
+    /// Where its lists go, in nameless files, if they do not fit; none holds them all the same.
+    pub spill_folder: Option<PathBuf>,
 }
 
 impl Default for LightOptions {
@@ -44,6 +47,7 @@ impl Default for LightOptions {
             order: None,
             wishes: Wishes::default(),
             memory_bytes: 1 << 30,
+            spill_folder: None,
         }
     }
 }

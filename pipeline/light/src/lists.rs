@@ -1,40 +1,94 @@
 //! A list of partners for every node.
 
-use crate::hierarchy::{Hierarchy, Span};
+use std::path::Path;
+
+use pvmap_store::{StoreError, Table};
+
+use crate::hierarchy::Span;
 
 /// Lists one after another, in the order of the nodes, or stations, they belong to.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Lists<T> {
-    /// Where the list of each node starts; one more than there are nodes.
+#[derive(Debug)]
+pub(crate) struct Lists<T: Copy> {
+    /// Where each list starts; one more than there are lists.
     starts: Vec<usize>,
-    entries: Vec<T>,
+    entries: Table<T>,
+}
+
+/// How long each list will be.
+#[derive(Debug, Clone)]
+pub(crate) struct Lengths(Vec<usize>);
+
+/// Lists in the making.
+#[derive(Debug)]
+pub(crate) struct Filling<T: Copy> {
+    lists: Lists<T>,
+    /// Where the next entry of each list goes.
+    ends: Vec<usize>,
+}
+
+impl Lengths {
+    pub(crate) fn new(n_lists: usize) -> Lengths {
+        Lengths(vec![0; n_lists])
+    }
+
+    /// Counts an entry.
+    pub(crate) fn add(&mut self, list: u32) {
+        self.0[list as usize] += 1;
+    }
+
+    /// Gives where each list starts, and where the last one ends.
+    fn starts(&self) -> Vec<usize> {
+        let ends = self.0.iter().scan(0, |end, length| {
+            *end += length;
+            Some(*end)
+        });
+        std::iter::once(0).chain(ends).collect()
+    }
+
+    /// Makes room for the entries, in a nameless file of a folder or in memory where none is given.
+    pub(crate) fn fill<T: Copy + Default>(
+        &self,
+        folder: Option<&Path>,
+    ) -> Result<Filling<T>, StoreError> {
+        let starts = self.starts();
+        let entries = Table::new(starts[starts.len() - 1], T::default(), folder)?;
+        Ok(Filling { ends: starts.clone(), lists: Lists { starts, entries } })
+    }
+}
+
+impl<T: Copy + Ord> Filling<T> {
+    /// Adds an entry that was counted.
+    pub(crate) fn put(&mut self, list: u32, entry: T) {
+        let end = &mut self.ends[list as usize];
+        self.lists.entries[*end] = entry;
+        *end += 1;
+    }
+
+    /// Sorts each list.
+    pub(crate) fn done(mut self) -> Lists<T> {
+        for bounds in self.lists.starts.windows(2) {
+            self.lists.entries[bounds[0]..bounds[1]].sort_unstable();
+        }
+        self.lists
+    }
 }
 
 impl<T: Copy + Ord + Default> Lists<T> {
-    /// Sorts (node, entry) into lists, each rising.
+    /// Sorts (list, entry) into lists in memory, each rising.
     pub(crate) fn of<I: Iterator<Item = (u32, T)>>(
-        n_nodes: usize,
+        n_lists: usize,
         rows: impl Fn() -> I,
-    ) -> Lists<T> {
-        let mut starts = vec![0; n_nodes + 1];
-        rows().for_each(|(node, _)| starts[node as usize + 1] += 1);
-        for i in 1..starts.len() {
-            starts[i] += starts[i - 1];
-        }
-        let mut entries = vec![T::default(); starts.last().copied().unwrap_or(0)];
-        let mut ends = starts.clone();
-        for (node, entry) in rows() {
-            let end = &mut ends[node as usize];
-            entries[*end] = entry;
-            *end += 1;
-        }
-        for bounds in starts.windows(2) {
-            entries[bounds[0]..bounds[1]].sort_unstable();
-        }
-        Lists { starts, entries }
+    ) -> Result<Lists<T>, StoreError> {
+        let mut lengths = Lengths::new(n_lists);
+        rows().for_each(|(list, _)| lengths.add(list));
+        let mut filling = lengths.fill(None)?;
+        rows().for_each(|(list, entry)| filling.put(list, entry));
+        Ok(filling.done())
     }
+}
 
-    /// Gives the list of a node.
+impl<T: Copy> Lists<T> {
+    /// Gives a list.
     #[inline]
     pub(crate) fn of_node(&self, node: u32) -> &[T] {
         &self.entries[self.starts[node as usize]..self.starts[node as usize + 1]]
@@ -45,39 +99,61 @@ impl<T: Copy + Ord + Default> Lists<T> {
         self.entries.len()
     }
 
-    /// Counts the bytes held.
-    pub(crate) fn held_bytes(&self) -> usize {
-        self.starts.capacity() * size_of::<usize>() + self.entries.capacity() * size_of::<T>()
+    /// Counts the bytes of lists, wherever they are.
+    pub(crate) fn bytes(&self) -> usize {
+        self.starts.capacity() * size_of::<usize>() + self.entries.len() * size_of::<T>()
     }
 }
 
-/// Lists for both nodes of each pair the elements of the other, ranges that touch as one.
-pub(crate) fn of_spans<'p, I: Iterator<Item = &'p (u32, u32)>>(
-    hierarchy: &Hierarchy,
-    pairs: impl Fn() -> I,
-) -> Lists<Span> {
-    let elements = |node| hierarchy.node(node).elements;
-    let both = |&(a, b): &(u32, u32)| [(a, elements(b)), (b, elements(a))];
-    let mut lists = Lists::of(hierarchy.n_nodes() as usize, || pairs().flat_map(both));
-    let mut n_kept = 0;
-    let mut from = 0;
-    for node in 0..hierarchy.n_nodes() as usize {
-        let to = lists.starts[node + 1];
-        let first = n_kept;
-        for i in from..to {
-            let span = lists.entries[i];
-            match lists.entries[first..n_kept].last_mut() {
-                Some(last) if last.1 == span.0 => last.1 = span.1,
-                _ => {
-                    lists.entries[n_kept] = span;
-                    n_kept += 1;
-                }
-            }
-        }
-        lists.starts[node + 1] = n_kept;
-        from = to;
+impl Lists<Span> {
+    /// Makes one range of those of a list that touch.
+    pub(crate) fn merged(&self, folder: Option<&Path>) -> Result<Lists<Span>, StoreError> {
+        let n_lists = self.starts.len() - 1;
+        let mut lengths = Lengths::new(n_lists);
+        self.each_merged(|list, _| lengths.add(list));
+        let mut filling = lengths.fill(folder)?;
+        self.each_merged(|list, span| filling.put(list, span));
+        Ok(filling.lists)
     }
-    lists.entries.truncate(n_kept);
-    lists.entries.shrink_to_fit();
-    lists
+
+    /// Walks the ranges that those of each list make.
+    fn each_merged(&self, mut with: impl FnMut(u32, Span)) {
+        for list in 0..self.starts.len() as u32 - 1 {
+            let mut open: Option<Span> = None;
+            for &span in self.of_node(list) {
+                open = match open {
+                    Some(last) if last.1 == span.0 => Some((last.0, span.1)),
+                    last => {
+                        last.into_iter().for_each(|last| with(list, last));
+                        Some(span)
+                    }
+                };
+            }
+            open.into_iter().for_each(|last| with(list, last));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_in_a_file_are_as_those_in_memory() {
+        let rows = [(2, (5, 7)), (0, (9, 12)), (2, (7, 8)), (2, (0, 5)), (0, (2, 4)), (3, (1, 2))];
+        let folder = std::env::temp_dir();
+        let lists = [None, Some(&folder)].map(|folder| {
+            let folder = folder.map(|folder| folder.as_path());
+            let mut lengths = Lengths::new(4);
+            rows.iter().for_each(|row| lengths.add(row.0));
+            let mut filling = lengths.fill(folder).unwrap();
+            rows.iter().for_each(|&(list, span)| filling.put(list, span));
+            filling.done().merged(folder).unwrap()
+        });
+        let expected: [&[Span]; 4] = [&[(2, 4), (9, 12)], &[], &[(0, 8)], &[(1, 2)]];
+        for lists in lists {
+            assert_eq!([0, 1, 2, 3].map(|list| lists.of_node(list)), expected);
+            assert_eq!(lists.n_entries(), 4);
+        }
+    }
 }

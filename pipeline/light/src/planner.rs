@@ -429,17 +429,12 @@ impl Lighting<'_> {
         hierarchy: &Hierarchy,
         order: Option<usize>,
     ) -> Result<Exchange, LightError> {
-        let limit_bytes = self.options.memory_bytes;
-        let left = limit_bytes.checked_sub(self.held_bytes(hierarchy));
-        let within = (order, left.ok_or(LightError::Memory { limit_bytes })?);
-        let links = self.map.view();
-        let elements = Arc::clone(&self.elements);
-        Exchange::within(elements, hierarchy.clone(), links, Kernel::default(), within).map_err(
-            |e| match e {
-                LightError::Memory { .. } => LightError::Memory { limit_bytes },
-                e => e,
-            },
-        )
+        let (limit_bytes, need_bytes) = (self.options.memory_bytes, self.held_bytes(hierarchy));
+        let left = limit_bytes.checked_sub(need_bytes);
+        let bytes = left.ok_or(LightError::Memory { limit_bytes, need_bytes })?;
+        let spill = self.options.spill_folder.as_deref().map(|folder| (bytes, folder));
+        let (elements, kernel) = (Arc::clone(&self.elements), Kernel::default());
+        Exchange::within(elements, hierarchy.clone(), self.map.view(), kernel, (order, spill))
     }
 
     /// Gives the bytes that are held beside the lists of the exchange: elements, materials, what a

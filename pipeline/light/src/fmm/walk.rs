@@ -11,6 +11,8 @@ use crate::fmm::grid::Grids;
 use crate::fmm::station::{self, Partner};
 use crate::hierarchy::{Hierarchy, Links, Span};
 
+/// Blocks of links whose pairs are held at once where not all are.
+const BLOCKS_AT_ONCE: u64 = 16;
 /// Elements of a node that are taken one by one at the most; there are more under some that have no
 /// full grid, and parts of them face another node or do not.
 const MAX_NEAR: u32 = 12;
@@ -19,12 +21,28 @@ const MAX_NEAR: u32 = 12;
 #[derive(Debug, Default)]
 pub(crate) struct Pairs {
     /// Nodes to be taken element by element.
-    pub(crate) near: Vec<(u32, u32)>,
+    near: Vec<(u32, u32)>,
     /// Stations to be taken as wholes.
-    pub(crate) far: Vec<(u32, Partner)>,
+    far: Vec<(u32, Partner)>,
 }
 
 impl Pairs {
+    /// Walks the elements of near nodes that either end sees.
+    pub(crate) fn near<'p>(
+        &'p self,
+        tree: &'p Hierarchy,
+    ) -> impl Iterator<Item = (u32, Span)> + 'p {
+        let elements = |node| tree.node(node).elements;
+        self.near.iter().flat_map(move |&(a, b)| [(a, elements(b)), (b, elements(a))])
+    }
+
+    /// Walks the partner of either end of far pairs.
+    pub(crate) fn far(&self) -> impl Iterator<Item = (u32, Partner)> + '_ {
+        let both =
+            |&(a, b): &(u32, Partner)| [(a, b), (b.station(), Partner::new(a, b.is_turned()))];
+        self.far.iter().flat_map(both)
+    }
+
     /// Counts the bytes of pairs, and of their lists at both ends.
     fn bytes(&self) -> u64 {
         let near = size_of::<(u32, u32)>() + 2 * size_of::<Span>();
@@ -43,8 +61,6 @@ pub(crate) struct Walk<'a> {
     pub(crate) error: f64,
     /// Whether everything under a link faces each other.
     pub(crate) all_face: bool,
-    /// Memory that the pairs and the lists that are made of them may take.
-    pub(crate) limit_bytes: u64,
 }
 
 /// What becomes of a pair.
@@ -56,23 +72,50 @@ enum Verdict {
 }
 
 impl Walk<'_> {
-    /// Goes through all links, each block for itself; the result is in the order of the blocks.
-    pub(crate) fn pairs(&self, links: &(impl Links + ?Sized)) -> Result<Vec<Pairs>, LightError> {
+    /// Finds all pairs, by block of links, if they and the lists that are made of them take no more
+    /// than so many bytes.
+    pub(crate) fn all(
+        &self,
+        links: &(impl Links + ?Sized),
+        limit_bytes: u64,
+    ) -> Result<Option<Vec<Pairs>>, LightError> {
         let held = AtomicU64::new(0);
         let block = |index| {
-            let mut pairs = Pairs::default();
-            for (a, b) in links.block(index)? {
-                self.hierarchy.check_link((a, b))?;
-                self.descend(a, b, &mut pairs);
+            // Nothing is found any more once there is no room.
+            if held.load(Ordering::Relaxed) > limit_bytes {
+                return Ok(Pairs::default());
             }
-            let bytes = pairs.bytes();
-            let held_bytes = held.fetch_add(bytes, Ordering::Relaxed) + bytes;
-            if held_bytes > self.limit_bytes {
-                return Err(LightError::Memory { limit_bytes: self.limit_bytes });
-            }
+            let pairs = self.block(links, index)?;
+            held.fetch_add(pairs.bytes(), Ordering::Relaxed);
             Ok(pairs)
         };
-        (0..links.n_blocks()).into_par_iter().map(block).collect()
+        let found = (0..links.n_blocks()).into_par_iter().map(block);
+        let found = found.collect::<Result<Vec<Pairs>, LightError>>()?;
+        Ok((held.into_inner() <= limit_bytes).then_some(found))
+    }
+
+    /// Hands on the pairs of all blocks in their order, holding those of few.
+    pub(crate) fn each(
+        &self,
+        links: &(impl Links + ?Sized),
+        mut take: impl FnMut(&Pairs),
+    ) -> Result<(), LightError> {
+        let n_blocks = links.n_blocks();
+        for first in (0..n_blocks).step_by(BLOCKS_AT_ONCE as usize) {
+            let some = first..n_blocks.min(first + BLOCKS_AT_ONCE);
+            let found = some.into_par_iter().map(|index| self.block(links, index));
+            found.collect::<Result<Vec<Pairs>, LightError>>()?.iter().for_each(&mut take);
+        }
+        Ok(())
+    }
+
+    fn block(&self, links: &(impl Links + ?Sized), index: u64) -> Result<Pairs, LightError> {
+        let mut pairs = Pairs::default();
+        for (a, b) in links.block(index)? {
+            self.hierarchy.check_link((a, b))?;
+            self.descend(a, b, &mut pairs);
+        }
+        Ok(pairs)
     }
 
     fn descend(&self, a: u32, b: u32, pairs: &mut Pairs) {
