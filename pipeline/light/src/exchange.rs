@@ -154,7 +154,7 @@ impl Exchange {
     ///
     /// A node of more elements than that has a full grid of p³ places, p² over a plane that is
     /// square to the axes; other nodes and, for what is far away, the same ones have grids of lower
-    /// order. Up to order 3 single precision is enough.
+    /// order. Up to order 5 single precision is enough.
     ///
     /// Memory beyond that of [`Self::direct`]: 4 bytes for each partner on the list of a grid, 72 a
     /// grid, 20 a node, and 16 a place and 48 an element in single, 32 each in double precision;
@@ -448,8 +448,8 @@ fn walk<'w>(
     Walk { hierarchy, bounds, grids, regularisation, error, all_face }
 }
 
-/// Makes the lists of nodes and of stations: of all pairs at once where there is room, else in files
-/// of the folder, the pairs found twice instead of held.
+/// Makes the lists of nodes and of stations: of all pairs at once where there is room, else in
+/// files of the folder, the pairs found twice instead of held.
 fn lists(
     walk: &Walk<'_>,
     n_stations: usize,

@@ -13,7 +13,7 @@ pub(crate) enum Precision {
 }
 
 /// The highest order whose grids err by more than single precision does.
-const MAX_SINGLE_ORDER: usize = 3;
+const MAX_SINGLE_ORDER: usize = 5;
 /// The least side of an element, as a share of the scene's size, whose place single precision
 /// gives well enough: to 2^-9 of that side.
 const MIN_SINGLE_SIDE: f64 = 1.0 / (1 << 15) as f64;

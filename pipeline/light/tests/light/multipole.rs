@@ -215,8 +215,8 @@ fn n71_the_multipole_operator_is_symmetric() {
         let product = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let there = product(&a, &exchange.apply(&b).unwrap());
         let back = product(&b, &exchange.apply(&a).unwrap());
-        // Up to order 3 sums are made in single precision.
-        let rounding = if order <= 3 { 1e-6 } else { 1e-13 };
+        // Up to order 5 sums are made in single precision.
+        let rounding = if order <= 5 { 1e-6 } else { 1e-13 };
         assert!((there / back - 1.0).abs() < rounding, "order {order}: {there} and {back}");
     }
 }
@@ -399,6 +399,6 @@ fn n90_bytes_do_not_depend_on_what_the_processor_has() {
         let flux = exchange.apply(&case.exitance).unwrap();
         flux.iter().fold(0u64, |sum, v| sum.rotate_left(5) ^ v.to_bits())
     };
-    let sums = [case.direct(), case.multipole(3), case.multipole(5)].map(|e| sum(&e));
-    assert_eq!(sums, [0x0fe67b4470995002, 0x776cb9dbbcd13c4c, 0x30172fa475933399], "{sums:#018x?}");
+    let sums = [case.direct(), case.multipole(3), case.multipole(6)].map(|e| sum(&e));
+    assert_eq!(sums, [0x0fe67b4470995002, 0x776cb9dbbcd13c4c, 0x91e41c1e47838a62], "{sums:#018x?}");
 }
