@@ -90,7 +90,7 @@ pub enum LightError {
     /// A scaling was found for another exchange.
     #[error(
         "the scale was found for other light: with it what surfels get from all is off by \
-         {off:.1e} of it, not {row_error:.1e}; leave --scale-of out"
+         {off:.1e}, not {row_error:.1e}; leave --scale-of out"
     )]
     OtherScaling {
         /// The mean at some surfels.
@@ -106,8 +106,8 @@ pub enum LightError {
     Query(#[from] QueryError),
     /// There are more elements than the memory holds.
     #[error(
-        "memory = {} MiB: light of so many surfels takes {} MiB, its lists on disk; raise --memory, \
-         or build the map with a lower max_level or a larger leaf_capacity",
+        "memory = {} MiB: light of so many surfels takes {} MiB, its lists on disk; raise \
+         --memory, or build the map with a lower max_level or a larger leaf_capacity",
         limit_bytes >> 20,
         need_bytes.div_ceil(1 << 20)
     )]

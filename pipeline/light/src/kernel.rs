@@ -87,7 +87,8 @@ impl<T: Number, const C: usize> Default for Block<T, C> {
 }
 
 impl<T: Number, const C: usize> Block<T, C> {
-    /// Takes elements `from.0`…`from.1`, no more than lanes; says whether there is no room for more.
+    /// Takes elements `from.0`…`from.1`, no more than lanes; says whether there is no room for
+    /// more.
     #[inline(always)]
     fn push(
         &mut self,

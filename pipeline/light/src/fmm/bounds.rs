@@ -134,8 +134,8 @@ impl Bounds {
         (0..3).map(|i| gap(i) * gap(i)).sum()
     }
 
-    /// Gives the least and the most that a place of a box can be above the planes of these elements:
-    /// n·(x - y).
+    /// Gives the least and the most that a place of a box can be above the planes of these
+    /// elements: n·(x - y).
     pub(crate) fn heights(&self, other: &Bounds) -> (f64, f64) {
         let (mut least, mut most) = (-self.offset.1, -self.offset.0);
         for i in 0..3 {

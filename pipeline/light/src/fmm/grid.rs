@@ -326,7 +326,8 @@ impl Grids {
         self.first[node as usize]
     }
 
-    /// Gives where the places of a node's grids start; with the number of nodes, how many there are.
+    /// Gives where the places of a node's grids start; with the number of nodes, how many there
+    /// are.
     #[inline]
     pub(crate) fn start(&self, node: u32) -> usize {
         self.starts[self.first[node as usize] as usize]

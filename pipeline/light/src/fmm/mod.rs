@@ -6,8 +6,8 @@
 //! K_ij = -(n_i·r)(n_j·r) / (r² (π r² + c (A_i + A_j))),  r = x_j - x_i,
 //!
 //! can be taken at a few places instead: a node of many elements has a grid of Chebyshev nodes over
-//! the box of their places ([`grid`]), which gather the vectors n_j A_j b_j ([`chebyshev`]). What is
-//! farther away needs fewer places: there are grids of falling order, down to one place. The
+//! the box of their places ([`grid`]), which gather the vectors n_j A_j b_j ([`chebyshev`]). What
+//! is farther away needs fewer places: there are grids of falling order, down to one place. The
 //! elements of a node and each of its grids are a [`station`]; two stations are joined by the same
 //! sum as elements are ([`translate`]), and which ones that is right for says [`walk`].
 //!
