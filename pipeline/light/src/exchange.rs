@@ -36,27 +36,27 @@ pub struct Exchange {
     pub(crate) near: Lists<Span>,
     pub(crate) far: Option<Far>,
     pub(crate) precision: Precision,
-    /// For each node, the elements of which its own see a part.
-    pub(crate) shares: Lists<Share>,
+    /// For each node, the elements of which its own see a part, one by one.
+    pub(crate) near_parts: Lists<(Span, Part)>,
     /// What near pairs exchange beyond what their middles say.
     pub(crate) corrections: Corrections,
 }
 
-/// Elements that another node's see in part: by how many sixteenths more, or less, than what links
-/// say. They are taken one by one.
+/// Which part of what two nodes exchange is added, in sixteenths, -16…16: what they see of each
+/// other, less what links say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub(crate) struct Share {
-    pub(crate) elements: Span,
-    pub(crate) sixteenths: i8,
-}
+pub(crate) struct Part(i8);
 
-impl Share {
-    /// Gives the part, -1…1.
+impl Part {
+    /// Gives it, -1…1.
     #[inline]
-    pub(crate) fn part(self) -> f64 {
-        f64::from(self.sixteenths) / f64::from(SEGMENTS)
+    pub(crate) fn share(self) -> f64 {
+        f64::from(self.0) / f64::from(SEGMENTS)
     }
 }
+
+/// Pairs of nodes that see a part of each other, looked at together.
+const FRACTIONS_AT_ONCE: usize = 1 << 12;
 
 /// What the multipole method adds.
 #[derive(Debug)]
@@ -66,6 +66,8 @@ pub(crate) struct Far {
     pub(crate) stations: Stations,
     /// For each station, those that it exchanges light with as a whole.
     pub(crate) lists: Lists<Partner>,
+    /// For each station, those of which it sees a part.
+    pub(crate) parts: Lists<(Partner, Part)>,
 }
 
 /// Memory for lists and the pairs they are made of, and the folder for them if there are more; none
@@ -95,7 +97,7 @@ pub struct ExchangeStats {
     /// Pairs of places by which these are taken.
     pub n_far_pairs: u64,
     /// Pairs of nodes that see a part of each other, both ways.
-    pub n_shares: usize,
+    pub n_parts: usize,
     /// Grids of nodes.
     pub n_grids: usize,
     /// Places of all grids.
@@ -144,10 +146,10 @@ impl Exchange {
             near,
             far: None,
             precision: Precision::Double { places: Vec::new() },
-            shares: Lists::of(0, std::iter::empty)?,
+            near_parts: Lists::of(0, std::iter::empty)?,
             corrections: Corrections::default(),
         }
-        .with_fractions(links)
+        .with_fractions(links, &bounds)
     }
 
     /// Takes nodes that are far apart by grids of an order 1…7.
@@ -204,7 +206,8 @@ impl Exchange {
             || Precision::of(&elements, (order, c), of_grids()),
         );
         let (near, lists) = lists?;
-        let far = Some(Far { order, grids, stations, lists });
+        let parts = Lists::of(0, std::iter::empty)?;
+        let far = Some(Far { order, grids, stations, lists, parts });
         Exchange {
             elements,
             hierarchy,
@@ -212,28 +215,51 @@ impl Exchange {
             near,
             far,
             precision,
-            shares: Lists::of(0, std::iter::empty)?,
+            near_parts: Lists::of(0, std::iter::empty)?,
             corrections: Corrections::default(),
         }
-        .with_fractions(links)
+        .with_fractions(links, &bounds)
     }
 }
 
 impl Exchange {
-    /// Adds the pairs that see a part of each other.
-    fn with_fractions(mut self, links: &(impl Links + ?Sized)) -> Result<Exchange, LightError> {
+    /// Adds the pairs that see a part of each other, as wholes where links would be.
+    fn with_fractions(
+        mut self,
+        links: &(impl Links + ?Sized),
+        bounds: &[Bounds],
+    ) -> Result<Exchange, LightError> {
         let fractions = links.fractions()?;
-        let elements = |node| self.hierarchy.node(node).elements;
-        let mut rows = Vec::with_capacity(2 * fractions.len());
-        for Fraction { a, b, n_free } in fractions {
-            self.hierarchy.check_link((a, b))?;
-            let linked = if self.is_linked(a, elements(b).0) { SEGMENTS } else { 0 };
-            // Both are 0 to 16.
-            let sixteenths = n_free as i8 - linked as i8;
-            rows.push((a, Share { elements: elements(b), sixteenths }));
-            rows.push((b, Share { elements: elements(a), sixteenths }));
+        let tree = &self.hierarchy;
+        let none = Grids::none(tree);
+        let (grids, error) = match &self.far {
+            Some(far) => (&far.grids, error_of(far.order)),
+            None => (&none, 0.0),
+        };
+        let regularisation = self.kernel.regularisation();
+        // What sees a part need not face each other everywhere.
+        let all_face = false;
+        let walk = Walk { hierarchy: tree, bounds, grids, regularisation, error, all_face };
+        let some = |some: &[Fraction]| {
+            let (mut near, mut far) = (Vec::new(), Vec::new());
+            for &Fraction { a, b, n_free } in some {
+                let pairs = walk.pairs((a, b))?;
+                let linked = if self.is_linked(a, tree.node(b).elements.0) { SEGMENTS } else { 0 };
+                // Both are 0 to 16.
+                let part = Part(n_free as i8 - linked as i8);
+                near.extend(pairs.near(tree).map(|(node, span)| (node, (span, part))));
+                far.extend(pairs.far().map(|(station, partner)| (station, (partner, part))));
+            }
+            Ok((near, far))
+        };
+        let found = fractions.par_chunks(FRACTIONS_AT_ONCE).map(some);
+        let found = found.collect::<Result<Vec<_>, LightError>>()?;
+        let near = || found.iter().flat_map(|some| some.0.iter().copied());
+        let far = || found.iter().flat_map(|some| some.1.iter().copied());
+        self.near_parts = Lists::of(bounds.len(), near)?;
+        if let Some(joined) = &mut self.far {
+            joined.parts = Lists::of(joined.stations.len(), far)?;
         }
-        self.shares = Lists::of(self.hierarchy.n_nodes() as usize, || rows.iter().copied())?;
         Ok(self)
     }
 
@@ -246,35 +272,47 @@ impl Exchange {
 
     /// Says whether links let the first element of a node see another one.
     fn is_linked(&self, node: u32, element: u32) -> bool {
-        let elements = |far: &Far, partner: Partner| {
-            self.hierarchy.node(far.stations.node(partner.station())).elements
-        };
         let holds = |span: Option<Span>| span.is_some_and(|span| span.0 <= element);
         self.hierarchy.path(self.hierarchy.first_leaf(node)).any(|above| {
             let near = self.near.of_node(above);
             holds(near.get(near.partition_point(|span| span.1 <= element)).copied())
                 || self.lists(above).any(|(far, list)| {
-                    let at = list.partition_point(|&partner| elements(far, partner).1 <= element);
-                    holds(list.get(at).map(|&partner| elements(far, partner)))
+                    let end = |&partner: &Partner| self.elements_of(far, partner).1;
+                    let at = list.partition_point(|partner| end(partner) <= element);
+                    holds(list.get(at).map(|&partner| self.elements_of(far, partner)))
                 })
         })
     }
 
     /// Walks the lists of a node's stations.
     fn lists(&self, node: u32) -> impl Iterator<Item = (&Far, &[Partner])> {
+        self.stations(node).map(|(far, station)| (far, far.lists.of_node(station)))
+    }
+
+    fn stations(&self, node: u32) -> impl Iterator<Item = (&Far, u32)> {
         self.far.iter().flat_map(move |far| {
             let first = of_elements(&far.grids, node);
             let stations = first..=first + far.grids.of_node(node).len() as u32;
-            stations.map(move |station| (far, far.lists.of_node(station)))
+            stations.map(move |station| (far, station))
         })
     }
 
     /// Walks the elements of the nodes that a node exchanges light with as a whole.
     fn partners(&self, node: u32) -> impl Iterator<Item = Span> + '_ {
-        self.lists(node).flat_map(|(far, list)| {
-            let nodes = list.iter().map(|partner| far.stations.node(partner.station()));
-            nodes.map(|node| self.hierarchy.node(node).elements)
+        self.lists(node)
+            .flat_map(|(far, list)| list.iter().map(|&partner| self.elements_of(far, partner)))
+    }
+
+    /// Walks the elements of the nodes of which a node sees a part as a whole.
+    fn partners_in_part(&self, node: u32) -> impl Iterator<Item = (Span, Part)> + '_ {
+        self.stations(node).flat_map(|(far, station)| {
+            let list = far.parts.of_node(station).iter();
+            list.map(|&(partner, part)| (self.elements_of(far, partner), part))
         })
+    }
+
+    fn elements_of(&self, far: &Far, partner: Partner) -> Span {
+        self.hierarchy.node(far.stations.node(partner.station())).elements
     }
 
     /// Counts the pairs of elements that are taken by quadrature.
@@ -368,12 +406,13 @@ impl Exchange {
 
     /// Gives the flux that arrives at an element, pair by pair, also what grids bring.
     pub(crate) fn flux_at(&self, element: u32, b: &[f64]) -> f64 {
-        let Exchange { elements, hierarchy, kernel, near, shares, corrections, .. } = self;
+        let Exchange { elements, hierarchy, kernel, near, near_parts, corrections, .. } = self;
         let (leaf, i) = (hierarchy.leaf_of(element), element as usize);
         let from = |node| {
             let far: Vec<Span> = self.partners(node).collect();
-            kernel.row(elements, i, (near.of_node(node), shares.of_node(node)), b)
-                + kernel.row(elements, i, (&far, &[]), b)
+            let parts: Vec<(Span, Part)> = self.partners_in_part(node).collect();
+            kernel.row(elements, i, (near.of_node(node), near_parts.of_node(node)), b)
+                + kernel.row(elements, i, (&far, &parts), b)
         };
         hierarchy.path(leaf).map(from).sum::<f64>() + corrections.flux(i, b)
     }
@@ -400,9 +439,9 @@ impl Exchange {
         let mut stats = ExchangeStats {
             n_near_ranges: self.near.n_entries(),
             n_near_pairs: (0..self.hierarchy.n_nodes()).map(near).sum(),
-            n_shares: self.shares.n_entries(),
+            n_parts: self.near_parts.n_entries(),
             held_bytes: self.near.bytes()
-                + self.shares.bytes()
+                + self.near_parts.bytes()
                 + self.corrections.held_bytes()
                 + self.elements.len() * 8 * size_of::<f64>()
                 + self.precision.held_bytes()
@@ -411,6 +450,7 @@ impl Exchange {
         };
         if let Some(far) = &self.far {
             stats.n_far = far.lists.n_entries();
+            stats.n_parts += far.parts.n_entries();
             let size = |station| far.stations.places(station).len() as u64;
             for station in 0..far.stations.len() as u32 {
                 let partners = far.lists.of_node(station).iter();
@@ -419,8 +459,10 @@ impl Exchange {
             }
             stats.n_grids = far.grids.n_grids();
             stats.n_places = far.grids.n_places();
-            stats.held_bytes +=
-                far.lists.bytes() + far.grids.held_bytes() + far.stations.held_bytes();
+            stats.held_bytes += far.lists.bytes()
+                + far.parts.bytes()
+                + far.grids.held_bytes()
+                + far.stations.held_bytes();
         }
         stats
     }

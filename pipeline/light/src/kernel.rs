@@ -6,7 +6,7 @@ use multiversion::multiversion;
 
 use crate::element::{AREA, Columns, Elements, Record};
 use crate::error::LightError;
-use crate::exchange::Share;
+use crate::exchange::Part;
 use crate::hierarchy::Span;
 use crate::number::{LANES, Number, across, copy_lanes, lanes};
 
@@ -56,7 +56,7 @@ impl Kernel {
         exchange(self.regularisation, &a, &b)
     }
 
-    /// Sums G_ij b_j over ranges of elements j, and what shares say, in an order that depends on
+    /// Sums G_ij b_j over ranges of elements j, and parts of others, in an order that depends on
     /// these alone.
     pub(crate) fn row(&self, elements: &Elements, i: usize, from: From<'_>, b: &[f64]) -> f64 {
         let mut flux = [[0.0]];
@@ -67,7 +67,7 @@ impl Kernel {
 }
 
 /// Where light comes from: ranges of elements, and those of which a part is seen.
-pub(crate) type From<'a> = (&'a [Span], &'a [Share]);
+pub(crate) type From<'a> = (&'a [Span], &'a [(Span, Part)]);
 
 /// Sources put side by side, for many targets to take: so many at a time.
 const SOURCES: usize = 256;
@@ -141,7 +141,7 @@ pub(crate) fn receive<T: Number, const C: usize>(
     c: T,
     columns: &Columns<T>,
     b: &[&[T]; C],
-    (spans, shares): From<'_>,
+    (spans, parts): From<'_>,
     block: &mut Block<T, C>,
     first: usize,
     flux: &mut [[f64; C]],
@@ -151,7 +151,7 @@ pub(crate) fn receive<T: Number, const C: usize>(
     let sources = columns.0.each_ref().map(|column| &column[..n]);
     let b = b.map(|b| &b[..n]);
     let whole = spans.iter().map(|&span| (span, None));
-    let parts = shares.iter().map(|share| (share.elements, Some(T::of(share.part()))));
+    let parts = parts.iter().map(|&(span, part)| (span, Some(T::of(part.share()))));
     for ((from, to), part) in whole.chain(parts) {
         let (mut from, to) = (from as usize, to as usize);
         while from < to {

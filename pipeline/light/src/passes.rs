@@ -276,8 +276,8 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
     ) {
         let first = of_elements(&far.grids, node);
         let mut add = |station: u32, to: &mut [Vectors<T, C>]| {
-            let partners = far.lists.of_node(station);
-            if !partners.is_empty() {
+            let partners = (far.lists.of_node(station), far.parts.of_node(station));
+            if !(partners.0.is_empty() && partners.1.is_empty()) {
                 let targets = &self.places[far.stations.places(station)];
                 let from = (self.places, &self.vectors[..]);
                 translate((&far.stations, partners), from, &mut bench.sources, targets, to);
@@ -346,8 +346,8 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
 
     /// Adds the flux that arrives at a node's elements one by one.
     fn add_near(&self, node: u32, flux: &mut [[f64; C]], bench: &mut Bench<T, C>) {
-        let Exchange { hierarchy, kernel, near, shares, .. } = self.exchange;
-        let from = (near.of_node(node), shares.of_node(node));
+        let Exchange { hierarchy, kernel, near, near_parts, .. } = self.exchange;
+        let from = (near.of_node(node), near_parts.of_node(node));
         if !(from.0.is_empty() && from.1.is_empty()) {
             let first = hierarchy.node(node).elements.0 as usize;
             let b = self.scaled.each_ref().map(|b| &b[..]);

@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 
 use multiversion::multiversion;
 
+use crate::exchange::Part;
 use crate::fmm::grid::Vectors;
 use crate::fmm::station::{Partner, Place, Stations};
 use crate::number::{LANES, Number, across, lanes};
@@ -29,7 +30,7 @@ impl<T: Number, const C: usize> Default for Sources<T, C> {
 impl<T: Number, const C: usize> Sources<T, C> {
     /// Takes a place with the vectors at it; says whether there is no room for another.
     #[inline(always)]
-    fn push(&mut self, place: &Place<T>, vectors: &Vectors<T, C>, sign: T) -> bool {
+    fn push(&mut self, place: &Place<T>, vectors: &Vectors<T, C>, weight: T) -> bool {
         let n = self.n;
         if n >= SOURCES {
             unreachable!("what is full is sent");
@@ -39,7 +40,7 @@ impl<T: Number, const C: usize> Sources<T, C> {
         }
         for channel in 0..C {
             for axis in 0..3 {
-                self.vectors[channel][axis][n] = sign * vectors[channel][axis];
+                self.vectors[channel][axis][n] = weight * vectors[channel][axis];
             }
         }
         self.n = n + 1;
@@ -73,6 +74,9 @@ impl<T: Number, const C: usize> Sources<T, C> {
     }
 }
 
+/// What a station exchanges light with, and that of which it sees a part.
+pub(crate) type Partners<'a> = (&'a [Partner], &'a [(Partner, Part)]);
+
 /// Adds the field of vectors m at the places of a station's partners to that at some places:
 /// f_i += Σ_j ± r (r·m_j) / (r² (π r² + s_i + s_j)), r = x_j - x_i (M2L, and what joins a grid with
 /// elements).
@@ -81,16 +85,18 @@ impl<T: Number, const C: usize> Sources<T, C> {
 /// never 0: what is far apart only comes here.
 #[multiversion(targets = "simd")]
 pub(crate) fn translate<T: Number, const C: usize>(
-    (stations, partners): (&Stations, &[Partner]),
+    (stations, (partners, parts)): (&Stations, Partners<'_>),
     (places, vectors): (&[Place<T>], &[Vectors<T, C>]),
     sources: &mut Sources<T, C>,
     targets: &[Place<T>],
     field: &mut [Vectors<T, C>],
 ) {
-    for &partner in partners {
-        let sign = T::of(partner.sign());
+    let whole = partners.iter().map(|&partner| (partner, partner.sign()));
+    let parts = parts.iter().map(|&(partner, part)| (partner, partner.sign() * part.share()));
+    for (partner, weight) in whole.chain(parts) {
+        let weight = T::of(weight);
         for j in stations.places(partner.station()) {
-            if sources.push(&places[j], &vectors[j], sign) {
+            if sources.push(&places[j], &vectors[j], weight) {
                 sources.send(targets, field);
             }
         }

@@ -109,6 +109,14 @@ impl Walk<'_> {
         Ok(())
     }
 
+    /// Gives the pairs that two nodes make.
+    pub(crate) fn pairs(&self, (a, b): (u32, u32)) -> Result<Pairs, LightError> {
+        let mut pairs = Pairs::default();
+        self.hierarchy.check_link((a, b))?;
+        self.descend(a, b, &mut pairs);
+        Ok(pairs)
+    }
+
     fn block(&self, links: &(impl Links + ?Sized), index: u64) -> Result<Pairs, LightError> {
         let mut pairs = Pairs::default();
         for (a, b) in links.block(index)? {
