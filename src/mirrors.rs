@@ -40,8 +40,8 @@ pub struct Gaze {
     pub direction: [f64; 3],
 }
 
-/// Lists what pictures of a light leave out because its plan did, though surfels mirror or let light
-/// through. A file that does not say leaves out nothing.
+/// Lists what pictures of a light leave out because its plan did, though surfels mirror or let
+/// light through. A file that does not say leaves out nothing.
 ///
 /// # Errors
 /// Where it is damaged.
@@ -50,13 +50,15 @@ pub fn left_out(light: &LightView<'_>) -> Result<Vec<Effect>, FormatError> {
         return Ok(Vec::new());
     }
     let plan = light.plan()?;
-    let views: [(Effect, fn(&Gloss) -> f32); 2] =
-        [(Effect::MirrorView, |one| one.specular), (Effect::Refraction, |one| one.transmissive)];
     let mut left_out = Vec::new();
-    for (effect, share) in views {
-        let is_off = Plan::said_of(plan, effect) == Some(false);
+    for effect in [Effect::MirrorView, Effect::Refraction] {
+        let share = |gloss: Gloss| match effect {
+            Effect::MirrorView => gloss.specular,
+            _ => gloss.transmissive,
+        };
         let mut ids = 0..light.summary().n_surfels;
-        let is_some = |id| Ok(light.gloss(id)?.is_some_and(|one| share(&one) > 0.0));
+        let is_some = |id| Ok(light.gloss(id)?.is_some_and(|gloss| share(gloss) > 0.0));
+        let is_off = Plan::said_of(plan, effect) == Some(false);
         if is_off && ids.try_fold(false, |any, id| Ok(any || is_some(id)?))? {
             left_out.push(effect);
         }

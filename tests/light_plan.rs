@@ -144,18 +144,18 @@ fn the_plan_is_told_before_anything_is_lit() {
     assert!(after.starts_with(&["plan", "lamps", "sky"]) && after.contains(&"solve"), "{after:?}");
 }
 
-/// A ground of some 1500 surfels, and over a place of it a small plate.
+/// A ground of some 1000 surfels, and over a place of it a small plate.
 fn ground_with_a_plate() -> Stage {
-    Stage::new(&level(&[plate(160, 340, [0, 0, 0]), plate(12, 100, [30_000, 30_000, 4000])]))
+    Stage::new(&level(&[plate(160, 340, [0, 0, 0]), plate(24, 100, [30_000, 30_000, 4000])]))
 }
 
 /// A spot from above that reaches the plate, and what is around its shadow.
-const SPOT: &str = "[[spot]]\nposition = [30600, 30600, 30000]\ndirection = [0, 0, -1]\n\
+const SPOT: &str = "[[spot]]\nposition = [31150, 31150, 30000]\ndirection = [0, 0, -1]\n\
                     angle = 4.5\nflux = 1e8\n";
 
 /// So coarse that not all surfels are tried.
 fn coarse() -> LightOptions {
-    LightOptions { worth: 0.02, ..LightOptions::default() }
+    LightOptions { worth: 0.05, ..LightOptions::default() }
 }
 
 #[test]
@@ -165,7 +165,7 @@ fn what_stands_in_a_narrow_spot_is_found_among_the_surfels_that_it_reaches() {
     let decision = plan.decision(Effect::Occlusion);
     assert!(decision.is_on, "{decision:?}");
     // Beside the plate nothing is in between, and all that are reached are asked.
-    let beside = SPOT.replace("30600, 30600", "10000, 40000");
+    let beside = SPOT.replace("31150, 31150", "10000, 40000");
     let decision = stage.run(&format!("{GREY}{beside}"), coarse(), None).plan;
     let decision = decision.decision(Effect::Occlusion);
     assert!(!decision.is_on && decision.skipped == 0.0, "{decision:?}");
@@ -174,7 +174,7 @@ fn what_stands_in_a_narrow_spot_is_found_among_the_surfels_that_it_reaches() {
 #[test]
 fn a_colour_counts_by_the_light_that_falls_on_it() {
     let stage = ground_with_a_plate();
-    let red = "[[material]]\nbox = [30000, 30000, 3900, 31200, 31200, 4100]\n\
+    let red = "[[material]]\nbox = [30000, 30000, 3900, 32300, 32300, 4100]\n\
                albedo = [0.7, 0.1, 0.1]\n";
     let calls = |lights: &str| {
         let plan = stage.run(lights, coarse(), None).plan;
@@ -182,7 +182,7 @@ fn a_colour_counts_by_the_light_that_falls_on_it() {
     };
     let (is_on, skipped) = calls(&format!("{GREY}{red}{SPOT}"));
     assert!(is_on && skipped > 0.1, "most of the light falls on it: {skipped}");
-    let elsewhere = SPOT.replace("30600, 30600", "10000, 40000");
+    let elsewhere = SPOT.replace("31150, 31150", "10000, 40000");
     let (is_on, skipped) = calls(&format!("{GREY}{red}{elsewhere}"));
     assert!(!is_on, "no light falls on it: {skipped}");
     let colored = elsewhere.replace("1e8", "[2e8, 1e8, 1e8]");
@@ -207,23 +207,26 @@ fn a_small_hole_counts_where_light_is_reflected_often() {
     let (closed, open) = (Stage::room(SceneKind::Empty), Stage::new(&room_with_a_hole(20_000)));
     let glowing =
         |rho: f64| format!("[albedo]\nfrom = {rho:?}\n[[glow]]\nall = true\nexitance = 1.0\n");
-    for (stage, rho, is_closed) in
-        [(&closed, 0.95, true), (&closed, 0.3, true), (&open, 0.95, false), (&open, 0.3, true)]
-    {
-        let report = stage.light(&glowing(rho), LightOptions::default());
-        let outlook = report.plan.outlook.unwrap();
-        let text = report.plan.to_string();
-        let state = if is_closed { "closed" } else { "open" };
-        assert_eq!(outlook.is_closed, is_closed, "{rho}: {outlook:?}");
-        assert!(text.contains(&format!("\nscene                    {state} ")), "{text}");
-        // Where all is alike B = 1 / (1 - ρ (1 - s)), s what leads out.
-        let share = if std::ptr::eq(stage, &open) { 0.0058 } else { 0.0 };
-        let expected = 1.0 / (1.0 - rho * (1.0 - share));
-        let all = radiosity(&stage.output());
-        let off = all.iter().sum::<f64>() / all.len() as f64 / expected - 1.0;
-        println!("{rho}, {state}: {outlook:?}, off by {off:.4}");
-        assert!(off.abs() < 0.025, "{rho}, {state}: off by {off}");
+    for (stage, share) in [(&closed, 0.0), (&open, 0.0058)] {
+        for rho in [0.95, 0.3] {
+            let report = stage.light(&glowing(rho), LightOptions::default());
+            let outlook = report.plan.outlook.unwrap();
+            assert!((outlook.open_share - share).abs() < 1.5e-3, "{share}: {outlook:?}");
+            let text = report.plan.to_string();
+            assert!(text.contains("\nscene                    closed "), "{text}");
+            // Where all is alike B = 1 / (1 - ρ (1 - s)), s what leads out.
+            let expected = 1.0 / (1.0 - rho * (1.0 - share));
+            let all = radiosity(&stage.output());
+            let off = all.iter().sum::<f64>() / all.len() as f64 / expected - 1.0;
+            println!("albedo {rho}: {outlook:?}, off by {off:.4}");
+            assert!(off.abs() < 0.025, "albedo {rho}, open {share}: off by {off}");
+        }
     }
+    // Between two plates far more leads out.
+    let mut plates = level(&[plate(60, 900, [0, 0, 0]), plate(60, 900, [0, 0, 20_000])]);
+    plates.normals.iter_mut().for_each(|all| all[3600..].fill([0.0, 0.0, -1.0]));
+    let plan = Stage::new(&plates).run(&glowing(0.5), LightOptions::default(), None).plan;
+    assert!(plan.let_out().is_none() && plan.to_string().contains(" open "), "{plan}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 
-use pvmap::light::{Effect, LightOptions, Wishes, Work};
+use pvmap::light::{Effect, LightOptions, Wishes};
 use pvmap::lights::EXAMPLE;
 use pvmap::query::Map;
 use pvmap::vmap::LightSummary;
@@ -90,10 +90,10 @@ pub(super) struct Args {
     /// Plan and stop: what the scene calls for, and why
     #[arg(long)]
     plan: bool,
-    /// Compute an effect, whatever the scene calls for; may be given several times
+    /// Compute an effect, whatever the scene calls for; may be repeated
     #[arg(long, value_name = "EFFECT", value_parser = parse_effect)]
     force: Vec<Effect>,
-    /// Leave an effect out, whatever the scene calls for; may be given several times
+    /// Leave an effect out, whatever the scene calls for; may be repeated
     #[arg(long, value_name = "EFFECT", value_parser = parse_effect)]
     no: Vec<Effect>,
     /// Take over the scaling of an earlier light file of this map: quicker
@@ -233,7 +233,16 @@ fn print(
         n => format!("; {n} without a normal take no part"),
     };
     writeln!(out, "  surfels   {}, {channels}{without}", report.n_surfels)?;
-    writeln!(out, "  light     {}", how(summary, work))?;
+    let how = match (work.n_applications, summary.order) {
+        (0, _) => "surfels send each other none".to_owned(),
+        (_, 0) => "pair by pair".to_owned(),
+        (_, p) => format!("multipoles of order {p}"),
+    };
+    writeln!(out, "  light     {how}")?;
+    let errors = errors(summary);
+    if !errors.is_empty() {
+        writeln!(out, "  errors    {}", errors.join(", "))?;
+    }
     let names = if summary.n_channels == 1 { &[""][..] } else { &["red ", "green ", "blue "] };
     for (index, (name, balance)) in names.iter().zip(&summary.balance).enumerate() {
         let label = if index == 0 { "flux" } else { "" };
@@ -256,25 +265,15 @@ fn print(
 /// What is not the rounding of numbers.
 const LEAST_TOLD: f64 = 1e-9;
 
-/// Says how light was exchanged, and how well.
-fn how(summary: &LightSummary, work: &Work) -> String {
-    if work.n_applications == 0 {
-        return "surfels send each other none".to_owned();
-    }
-    let mut how = match summary.order {
-        0 => "pair by pair".to_owned(),
-        p => format!("multipoles of order {p}"),
-    };
+/// Lists what is off, where anything is.
+fn errors(summary: &LightSummary) -> Vec<String> {
     let told = [
-        (summary.operator_error, "off at 64 surfels"),
-        (summary.row_error, "of what a surfel sees is missing or too much"),
-        (summary.residual, "left after the last bounce"),
+        ("grids", summary.operator_error, " at 64 surfels"),
+        ("rows", summary.row_error, ""),
+        ("left to solve", summary.residual, ""),
     ];
-    for (share, what) in told.into_iter().filter(|told| told.0 > LEAST_TOLD) {
-        let gap = if how.contains(" %") { ", " } else { "; " };
-        how += &format!("{gap}{} % {what}", two_digits(100.0 * share));
-    }
-    how
+    let told = told.into_iter().filter(|told| told.1 > LEAST_TOLD);
+    told.map(|(what, off, at)| format!("{what} {} %{at}", two_digits(100.0 * off))).collect()
 }
 
 /// Says what became of the flux of a channel.

@@ -358,7 +358,7 @@ impl<'a> Lighting<'a> {
         watch: &dyn Watch,
     ) -> Result<Balanced<'e>, LightError> {
         watch.stage("scale", None, "rounds");
-        let scene = if plan.is_closed() { Scene::Closed } else { Scene::Open };
+        let scene = if plan.let_out().is_some() { Scene::Closed } else { Scene::Open };
         let tolerance = self.operator_tolerance();
         let balanced = match scaling {
             Some(scaling) => {
@@ -373,7 +373,7 @@ impl<'a> Lighting<'a> {
         lit.stats = exchange.stats();
         lit.work.n_near_field = exchange.n_near_field();
         lit.work.n_applications += balanced.n_applications();
-        Ok(balanced)
+        Ok(balanced.letting_out(plan.let_out().unwrap_or(0.0)))
     }
 
     /// Joins what arrives from outside and what elements exchange.

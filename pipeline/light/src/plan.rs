@@ -113,10 +113,9 @@ pub struct Outlook {
     pub open_share: f64,
     /// Directions that were looked in.
     pub n_directions: u64,
-    /// Whether that is so little that nothing escapes.
+    /// Whether that is so little that the scene is closed but for it: so much escapes everywhere
+    /// alike.
     pub is_closed: bool,
-    /// The share of all light that then stays and should have escaped, about.
-    pub kept: f64,
 }
 
 /// The decisions of all effects, in the order of [`Effect::ALL`].
@@ -149,9 +148,9 @@ impl Plan {
         left_out.map(|decision| decision.skipped).sum()
     }
 
-    /// Says whether nothing escapes.
-    pub fn is_closed(&self) -> bool {
-        self.outlook.is_some_and(|outlook| outlook.is_closed)
+    /// Gives the share of light that escapes everywhere alike; none where the scene is open.
+    pub fn let_out(&self) -> Option<f64> {
+        self.outlook.filter(|outlook| outlook.is_closed).map(|outlook| outlook.open_share)
     }
 
     /// Says whether an effect was computed, by the text of a plan; none where that does not say.
@@ -188,16 +187,19 @@ impl fmt::Display for Plan {
             let begin = (decision.effect.name(), state, bound, decision.seconds);
             write_line(f, begin, &decision.evidence)?;
         }
-        let Some(Outlook { open_share, n_directions, is_closed, kept }) = self.outlook else {
+        let Some(Outlook { open_share, n_directions, is_closed }) = self.outlook else {
             return Ok(());
         };
-        let (state, why, bound) = match is_closed {
-            true => ("closed", "too little to count", kept),
-            false => ("open", "light escapes", 0.0),
+        let (state, why) = match is_closed {
+            true => ("closed", "so much escapes, everywhere alike"),
+            false => ("open", "what arrives nowhere escapes"),
         };
         let percent = 100.0 * open_share;
-        let what = format!("{percent:.2} % of {n_directions} directions lead out: {why}");
-        write_line(f, ("scene", state, bound, 0.0), &what)
+        let what = match open_share {
+            0.0 => format!("none of {n_directions} directions leads out"),
+            _ => format!("{percent:.2} % of {n_directions} directions lead out: {why}"),
+        };
+        write_line(f, ("scene", state, 0.0, 0.0), &what)
     }
 }
 
@@ -250,8 +252,7 @@ mod tests {
             skipped: [3e5, 1e-3, 0.0][effect.index() % 3],
             seconds: 1234.5,
         };
-        let outlook =
-            Outlook { open_share: 1e-3, n_directions: 16_384, is_closed: true, kept: 2e-3 };
+        let outlook = Outlook { open_share: 1e-3, n_directions: 16_384, is_closed: true };
         let plan = Plan {
             decisions: Effect::ALL.into_iter().map(decide).collect(),
             order: None,

@@ -25,8 +25,9 @@ const N_LOOKED_FROM: usize = 256;
 /// for costs that are said beforehand.
 const SEGMENT_SECONDS: f64 = 5e-6;
 const LAMP_SECONDS: f64 = 5e-8;
-/// Times that an exchange is applied to scale and to solve, roughly.
-const APPLICATIONS: f64 = 12.0;
+/// Times that an exchange is applied to scale it, and to solve a channel, roughly.
+const SCALING: f64 = 6.0;
+const SOLVING: f64 = 6.0;
 
 /// What an effect would change, before wishes.
 struct Call {
@@ -102,10 +103,10 @@ impl Lighting<'_> {
         let occlusion = self.call_occlusion(&shining);
         done(3)?;
         let (bounces, n_bounces) = self.call_bounces(&shining, &hierarchy)?;
-        let color = self.call_color(&shining);
         let gloss = self.call_gloss(&shining, &hierarchy)?;
-        done(6)?;
         let exchanges = self.exchanges(&shining, &direct, &bounces);
+        let color = self.call_color(&shining, exchanges);
+        done(6)?;
         let near = match exchanges {
             true => {
                 let (links, worth) = (self.map.view(), self.options.worth);
@@ -127,9 +128,9 @@ impl Lighting<'_> {
             (Effect::Direct, direct),
             (Effect::Sky, sky),
             (Effect::Occlusion, occlusion),
-            (Effect::Bounces, bounces.costing(APPLICATIONS * cost)),
+            (Effect::Bounces, bounces.costing((SCALING + SOLVING) * cost)),
             // Two channels more.
-            (Effect::Color, color.costing(2.0 * APPLICATIONS * cost)),
+            (Effect::Color, color.costing(2.0 * SOLVING * cost)),
             (Effect::MirrorView, mirror),
             (Effect::Refraction, refraction),
             (Effect::Caustics, caustics),
@@ -167,12 +168,16 @@ impl Lighting<'_> {
         let n_lit = shining.is_lit.iter().filter(|&&is_lit| is_lit).count();
         let n_lamps = self.lamps.len();
         let of = |flux: f64| 100.0 * flux / shining.flux;
-        let [lamps, sky] = [of(shining.of_lamps), of(shining.of_sky)];
-        Call::on(
-            format!("{n_lit} surfels may be lit; {n_lamps} lamps {lamps:.0} %, sky {sky:.0} %"),
-            1.0,
-        )
-        .costing(n_lit as f64 * n_lamps as f64 * LAMP_SECONDS)
+        let lamps = match n_lamps {
+            0 => String::new(),
+            n => format!(", lamps ({n}) {:.0} %", of(shining.of_lamps)),
+        };
+        let sky = match shining.sky.whole {
+            0.0 => String::new(),
+            _ => format!(", sky {:.0} %", of(shining.of_sky)),
+        };
+        Call::on(format!("{n_lit} surfels shine or are shone on{lamps}{sky}"), 1.0)
+            .costing(n_lit as f64 * n_lamps as f64 * LAMP_SECONDS)
     }
 
     fn call_sky(&self, shining: &Shining) -> Call {
@@ -199,7 +204,7 @@ impl Lighting<'_> {
 
     fn call_occlusion(&self, shining: &Shining) -> Call {
         if shining.unblocked == 0.0 {
-            return Call::off("no lamps: what glows is linked to all that sees it");
+            return Call::off("no lamps: what glows is linked to what sees it");
         }
         let tries = &shining.tries;
         let seconds = tries.n_segments as f64 / tries.n_tried.max(1) as f64
@@ -242,7 +247,7 @@ impl Lighting<'_> {
         let many =
             if rho < 1.0 { format!("{n_bounces} bounces") } else { "all bounces".to_owned() };
         // Of all light, 1 / (1 - ρ) of what is emitted, all but that.
-        let call = Call::on(format!("nodes {a} and {b} linked, albedo to {rho:.2}: {many}"), rho);
+        let call = Call::on(format!("link {a}-{b}, albedo to {rho:.2}: {many}"), rho);
         Ok((call.if_worth(worth), n_bounces))
     }
 }

@@ -17,7 +17,7 @@ fn apart(color: [f64; 3]) -> f64 {
 impl Lighting<'_> {
     /// Calls for colour by the flux that would have the wrong one: of what is emitted and arrives,
     /// and of what is reflected of it.
-    pub(super) fn call_color(&self, shining: &Shining) -> Call {
+    pub(super) fn call_color(&self, shining: &Shining, exchanges: bool) -> Call {
         if shining.flux == 0.0 {
             return Call::off("nothing shines");
         }
@@ -45,9 +45,9 @@ impl Lighting<'_> {
         let by_sky = on(&|_| sky.into_iter().fold(0.0, f64::max)).min(most * shining.of_sky);
         // No element gets more than the brightest sends, and all together what is sent.
         let brightest = shining.most * shining.growth;
-        let by_others = match most {
-            0.0 => 0.0,
-            _ => on(&|_| brightest).min(most * shining.flux * shining.growth),
+        let by_others = match exchanges && most > 0.0 {
+            false => 0.0,
+            true => on(&|_| brightest).min(most * shining.flux * shining.growth),
         };
 
         let wrong = glowing + of_lamps + of_sky + by_lamps + by_sky + by_others;
@@ -59,12 +59,11 @@ impl Lighting<'_> {
                 let largest = |of: &dyn Fn(usize) -> f64| {
                     ids().max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(0)
                 };
-                match most {
-                    0.0 => format!("{light:.2} % of the light has a colour"),
-                    _ => format!(
-                        "{light:.2} % of the light, albedo of surfel {}",
-                        largest(&|id| apart(albedo(id)))
-                    ),
+                let painted = format!("albedo of surfel {}", largest(&|id| apart(albedo(id))));
+                match (most > 0.0, light > 0.0) {
+                    (true, false) => painted,
+                    (false, _) => format!("{light:.2} % of the light has a colour"),
+                    (true, true) => format!("{painted}, {light:.2} % of the light"),
                 }
             }
         };

@@ -42,7 +42,7 @@ impl Lighting<'_> {
             |&[i, j]: &[u32; 2]| kernel.exchange(&self.elements, i as usize, j as usize);
         let all: f64 = near.iter().map(exchanged).sum();
         let flux = 3.0 * 2.0 * all * shining.most * shining.growth;
-        let what = format!("{n} pairs nearer than 3 radii, as surfels {i} and {j}");
+        let what = format!("{n} pairs nearer than 3 radii, as {i} and {j}");
         Call::on(what, shining.lasting(flux))
             .if_worth(self.options.worth)
             .costing(QUADRATURE * n as f64 * PAIR_SECONDS)

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::error::LightError;
-use crate::incident::{Air, FAR, cosine_directions};
+use crate::incident::{Air, FAR, N_DIRECTIONS, cosine_directions};
 use crate::lighting::Lighting;
 use crate::plan::Outlook;
 use crate::sum::sum;
@@ -11,35 +11,51 @@ use crate::vector::{add, beside, norm, scale, sub};
 
 use super::N_LOOKED_FROM;
 
+/// The share of directions that lead out below which a scene is closed but for these.
+const CLOSED: f64 = 1e-2;
+/// The part of the error asked for that the count of directions may make, and from how many
+/// elements it is looked for that at the most.
+const OFF: f64 = 0.25;
+const MOST_LOOKED_FROM: usize = 4096;
 /// Rays beside one that leads out, and how many of them have to lead out, too.
 const N_BESIDE: usize = 4;
-const LEAST_OPEN: usize = 3;
+const LEAST_OPEN: usize = 1;
 /// How far they are beside it where it leaves the cube, in radii of the element it comes from.
-const BESIDE_RADII: f64 = 1.0;
+const BESIDE_RADII: f64 = 0.5;
 
 impl Lighting<'_> {
-    /// Looks for ways out, and says whether the scene counts as closed: where what escapes, from
-    /// bounce to bounce, makes less than the error that is asked for.
+    /// Looks for ways out, and says whether the scene counts as closed but for these. What it has
+    /// wrong of them makes less than the error that is asked for, if not too many looks are needed.
     pub(super) fn outlook(&self) -> Result<Outlook, LightError> {
+        let rho = self.max_albedo();
+        // How many times the share that leads out is missing in all light.
+        let often = if rho < 1.0 { rho / (1.0 - rho) } else { f64::INFINITY };
+        let first = self.look_out(N_LOOKED_FROM)?;
+        let off = OFF * self.options.error / often;
+        let wanted = first.open_share / (off * off);
+        let is_enough = wanted <= first.n_directions as f64 || first.open_share >= CLOSED;
+        if is_enough {
+            return Ok(first);
+        }
+        // `as` cuts what is too much.
+        let n_elements = (wanted / N_DIRECTIONS as f64).ceil() as usize;
+        self.look_out(n_elements.min(MOST_LOOKED_FROM))
+    }
+
+    fn look_out(&self, n_elements: usize) -> Result<Outlook, LightError> {
         let air = Air::new(self.map, &self.elements);
-        let ids = self.some(N_LOOKED_FROM);
+        let ids = self.some(n_elements);
         let looks = ids.par_iter().map(|&id| self.leading_out(&air, id));
         let looks = looks.collect::<Result<Vec<_>, LightError>>()?;
-        let area = |id: &u32| self.elements.areas()[*id as usize];
-        let seen = sum(ids.iter().zip(&looks).map(|(id, look)| {
-            let (n_open, n) = *look;
-            area(id) * n_open as f64 / n.max(1) as f64
-        }));
-        let looked =
-            sum(ids.iter().zip(&looks).filter(|(_, look)| look.1 > 0).map(|(id, _)| area(id)));
-        let open_share = if looked > 0.0 { seen / looked } else { 1.0 };
-        let rho = self.max_albedo();
-        let kept = match open_share {
-            0.0 => 0.0,
-            share => share * rho / (1.0 - rho),
+        let rows = || {
+            let areas = ids.iter().map(|&id| self.elements.areas()[id as usize]);
+            areas.zip(&looks).filter(|(_, look)| look.1 > 0)
         };
+        let seen = sum(rows().map(|(area, &(n_open, n))| area * n_open as f64 / n as f64));
+        let looked = sum(rows().map(|(area, _)| area));
+        let open_share = if looked > 0.0 { seen / looked } else { 1.0 };
         let n_directions = looks.iter().map(|look| look.1 as u64).sum();
-        Ok(Outlook { open_share, n_directions, is_closed: kept <= self.options.error, kept })
+        Ok(Outlook { open_share, n_directions, is_closed: open_share < CLOSED })
     }
 
     /// Counts the directions from an element that lead out, and those that were looked in.

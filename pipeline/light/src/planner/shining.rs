@@ -141,6 +141,11 @@ impl Lighting<'_> {
     /// Adds up what is said of each element.
     fn light_each(&self, shining: &mut Shining) {
         let radiance = self.sky.map_or([0.0; 3], |sky| sky.radiance);
+        // Of the sky what arrives on average.
+        let open = match shining.sky.whole {
+            0.0 => 0.0,
+            whole => shining.of_sky / whole,
+        };
         for (index, channel) in self.materials.channels.iter().enumerate() {
             let from_sky = PI * radiance[index];
             for (id, &area) in self.elements.areas().iter().enumerate() {
@@ -148,8 +153,7 @@ impl Lighting<'_> {
                 let outside = from_lamps + from_sky;
                 let gloss = self.materials.gloss.get(id).copied().unwrap_or_default();
                 let taken = f64::from(gloss.specular + gloss.transmissive);
-                // Of the sky what is open on average.
-                shining.sent_on += area * taken * (from_lamps + from_sky * shining.sky.open);
+                shining.sent_on += area * taken * (from_lamps + from_sky * open);
                 shining.is_lit[id] |= channel.emission[id] > 0.0 || outside > 0.0;
                 let exitance = channel.emission[id] + channel.albedo[id] * outside;
                 shining.most = shining.most.max(exitance);
