@@ -78,8 +78,7 @@ impl Lighting<'_> {
         let spill = self.options.spill_folder.as_deref().map(|folder| (bytes, folder));
         let (elements, kernel) = (Arc::clone(&self.elements), Kernel::default());
         let links = self.map.view();
-        let made =
-            Exchange::within(elements, hierarchy.clone(), links, kernel, (order, spill))?;
+        let made = Exchange::within(elements, hierarchy.clone(), links, kernel, (order, spill))?;
         if near.is_empty() { Ok(made) } else { made.with_near_field(near) }
     }
 
