@@ -18,6 +18,9 @@ use crate::progress::StageDone;
 
 /// Light a map: radiosity of all its surfels
 #[derive(Debug, clap::Args)]
+#[command(override_usage = "\
+pvmap light [OPTIONS] --lights <FILE.toml> <NAME.vmap>
+       pvmap light --example")]
 #[command(after_help = "\
 What shines and what reflects stands in a TOML file, colours as one number or [r, g, b] in linear
 light or \"#rrggbb\", places in the scan's units; --example prints one with all keys:

@@ -13,7 +13,7 @@ use super::{Call, SOLVING};
 use super::exchanged::first_link;
 
 /// Processor seconds of a photon, roughly, measured on a ball of glass in a furnished room.
-const PHOTON_SECONDS: f64 = 6e-5;
+const PHOTON_SECONDS: f64 = 8e-5;
 
 impl Lighting<'_> {
     /// Calls for mirrors in pictures, for refraction, for caustics, and for those of reflected
