@@ -1,5 +1,5 @@
-//! `pvmap light` as it is typed: what it prints and when, what it refuses, and that pictures keep to
-//! its plan.
+//! `pvmap light` as it is typed: what it prints and when, what it refuses, and that pictures keep
+//! to its plan.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 mod cli_common;
