@@ -68,10 +68,10 @@ pub use export::{
 };
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use light_file::{LightChannel, LightContent, write_light};
-pub use light_map::{LightDone, LightReport, LightRequest, light_map};
+pub use light_map::{LightDone, LightReport, LightRequest, light_map, light_map_telling};
 pub use limits::{Limits, MAX_THREADS, Size, parse_memory};
 pub use lit::{Exposure, LitMap, require_light};
-pub use mirrors::{Gaze, Mirrors};
+pub use mirrors::{Gaze, Mirrors, left_out};
 pub use pairing::require_pair;
 pub use pvmap_geometry as geometry;
 pub use pvmap_light as light;

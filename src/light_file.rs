@@ -3,9 +3,9 @@
 use std::fmt::Debug;
 use std::path::Path;
 
-use pvmap_store::output::require_own;
+use pvmap_store::output::{is_stdout, require_own};
 use pvmap_store::sections::Section;
-use pvmap_store::{SectionFile, Watch};
+use pvmap_store::{AtomicFile, SectionFile, Watch};
 use pvmap_vmap::container::{Written, head_bytes};
 use pvmap_vmap::light::{Found, Given, Gloss, Scale, SkyShare, close_light, section_names};
 use pvmap_vmap::records::Record;
@@ -61,7 +61,7 @@ pub fn write_light(
     watch: &dyn Watch,
 ) -> Result<u64, Error> {
     content.require_equal_counts();
-    require_own(output, Kind::Light.start(), "a light file")?;
+    require_free(output)?;
     let LightContent { channels, gloss, sky, scale, .. } = *content;
     let (n, n_channels) = (scale.len(), channels.len());
     let names = section_names(gloss.is_some(), sky.is_some());
@@ -83,6 +83,24 @@ pub fn write_light(
     }
     writing.rows(1, "scale", |i, _| Scale(scale[i]))?;
     writing.close(&names)
+}
+
+/// Refuses a name under which no light file can be made.
+///
+/// # Errors
+/// Where it is that of a stream or of something else, or its folder cannot be written.
+pub(crate) fn check_output(output: &Path) -> Result<(), Error> {
+    if is_stdout(output) {
+        let what = "a light file is not written from front to back; give the name of a file";
+        return Err(Error::Usage(format!("{}: {what}", output.display())));
+    }
+    require_free(output)?;
+    // Begun, and gone again.
+    Ok(AtomicFile::create(output).map(drop)?)
+}
+
+fn require_free(output: &Path) -> Result<(), Error> {
+    Ok(require_own(output, Kind::Light.start(), "a light file")?)
 }
 
 /// Sections before those with rows: `summary`, `lights`, `plan`.

@@ -3,15 +3,18 @@
 
 use std::path::{Path, PathBuf};
 
-use pvmap_light::{Elements, Gloss, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work};
+use pvmap_light::{
+    Elements, Gloss, Lamp, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work,
+};
 use pvmap_query::Map;
 use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::{LightSummary, LightView, MapView};
 
 use crate::build::open_octree;
+use crate::light_file::check_output;
 use crate::lights::{Assigned, Lights, majority_classes};
-use crate::{Error, LightChannel, LightContent, Limits, write_light};
+use crate::{Error, LightChannel, LightContent, Limits, require_light, write_light};
 
 /// What is to be lit, and where its light goes.
 #[derive(Debug, Clone)]
@@ -37,6 +40,8 @@ pub struct LightReport {
     pub plan: Plan,
     /// What was noticed in the lights.
     pub notes: Vec<String>,
+    /// What was noticed once they shone.
+    pub notes_after: Vec<String>,
     /// Surfels.
     pub n_surfels: u32,
     /// Surfels without a normal, which take no part.
@@ -67,10 +72,30 @@ pub fn light_map(
     limits: &Limits,
     watch: &dyn Watch,
 ) -> Result<LightReport, Error> {
-    limits.run(|| run(request, limits, watch))?
+    light_map_telling(request, limits, &|_| {}, watch)
 }
 
-fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<LightReport, Error> {
+/// Does the same, and tells the plan before anything is solved.
+///
+/// # Errors
+/// Those of [`light_map`].
+pub fn light_map_telling(
+    request: &LightRequest,
+    limits: &Limits,
+    tell: &(dyn Fn(&LightReport) + Sync),
+    watch: &dyn Watch,
+) -> Result<LightReport, Error> {
+    limits.run(|| run(request, limits, tell, watch))?
+}
+
+fn run(
+    request: &LightRequest,
+    limits: &Limits,
+    tell: &(dyn Fn(&LightReport) + Sync),
+    watch: &dyn Watch,
+) -> Result<LightReport, Error> {
+    // Before anything that takes time: can it be written?
+    request.output.as_deref().map_or(Ok(()), check_output)?;
     let lights = Lights::read(&request.lights)?;
     let bytes = Mapped::open(&request.map)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&request.map, e))?.solid();
@@ -83,6 +108,7 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let Assigned { materials, lamps, sky, notes } =
         lights.assign(map.view(), &elements, classes.as_deref())?;
     let gloss = materials.gloss.clone();
+    let given = lamps.clone();
     let beside = request.output.as_deref().map(|output| folder_of(output).to_path_buf());
     let options = LightOptions {
         memory_bytes: limits.memory_bytes,
@@ -92,12 +118,20 @@ fn run(request: &LightRequest, limits: &Limits, watch: &dyn Watch) -> Result<Lig
     let scene = Lighting::new(&map, elements, materials, lamps, sky, options).map_err(fail)?;
     let planned = scene.plan(watch).map_err(fail)?;
     let n_surfels = map.view().summary().n_surfels;
-    let mut report =
-        LightReport { plan: planned.plan.clone(), notes, n_surfels, n_without_normal, done: None };
+    let mut report = LightReport {
+        plan: planned.plan.clone(),
+        notes,
+        notes_after: Vec::new(),
+        n_surfels,
+        n_without_normal,
+        done: None,
+    };
+    tell(&report);
     if let Some(output) = &request.output {
         let lit = scene.run(&planned, scaling, watch).map_err(fail)?;
         let text = (lights.to_text(), planned.plan.to_string());
         let made = (&lit, &gloss[..]);
+        report.notes_after.extend(note_of_flux(&given, lit.from_lamps));
         report.done = Some(write(output, &text, (request, map.view(), &lights), made, watch)?);
     }
     Ok(report)
@@ -113,12 +147,7 @@ fn classes_of(
     if !lights.needs_classes() {
         return Ok(None);
     }
-    let Some(path) = &request.octree else {
-        return Err(Error::Usage(format!(
-            "{}: a rule by class needs the points; give --octree NAME.octree",
-            request.lights.display()
-        )));
-    };
+    let Some(path) = &request.octree else { return Err(lights.without_classes()) };
     let bytes = open_octree(path)?;
     majority_classes(map, &request.map, &bytes, path, watch).map(Some)
 }
@@ -128,15 +157,40 @@ fn scaling_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<
     let bytes = Mapped::open(path)?;
     let damaged = |e| Error::artifact(path, e);
     let view = LightView::open(&bytes).map_err(damaged)?;
-    if view.summary().map != map.file().root() {
-        return Err(Error::Data(format!(
-            "{}: the light of another map than {}; leave --scale-of out",
-            path.display(),
-            request.map.display()
-        )));
-    }
+    require_light((path, &view), (&request.map, map))?;
     let rows = (0..view.summary().n_surfels).map(|id| view.scale(id).map_err(damaged));
     Ok(Scaling { scale: rows.collect::<Result<_, _>>()?, row_error: view.summary().row_error })
+}
+
+/// The share of the flux of lamps that may go elsewhere, or come from nowhere, untold.
+const UNTOLD: f64 = 0.05;
+
+/// Says how much of the light of lamps arrives, unless that is about all.
+fn note_of_flux(lamps: &[Lamp], arrives: [f64; 3]) -> Option<String> {
+    let total = |flux: [f64; 3]| flux.iter().sum::<f64>();
+    let shines = lamps.iter().any(|lamp| total(lamp.color()) > 0.0);
+    let given = lamps.iter().map(Lamp::flux).collect::<Option<Vec<_>>>();
+    let Some(given) = given else {
+        // Nobody knows how much the sun gives.
+        let is_dark = shines && total(arrives) == 0.0;
+        return is_dark.then(|| "nothing of the light of sun and lamps arrives".to_owned());
+    };
+    let given: [f64; 3] = [0, 1, 2].map(|c| given.iter().map(|flux| flux[c]).sum());
+    let share = total(arrives) / total(given);
+    if !shines || (share - 1.0).abs() <= UNTOLD {
+        return None;
+    }
+    let told = |flux: [f64; 3]| match flux {
+        [r, g, b] if r == g && g == b => format!("{r:.4}"),
+        [r, g, b] => format!("[{r:.4}, {g:.4}, {b:.4}]"),
+    };
+    let why = match share {
+        0.0 => "; is it inside a wall, or turned away?",
+        more if more > 1.0 => ": surfels in it are not small beside its cone or its distance",
+        _ => "",
+    };
+    let (given, arrives) = (told(given), told(arrives));
+    Some(format!("lamps give {given}, {arrives} arrives ({:.0} %){why}", 100.0 * share))
 }
 
 fn write(

@@ -6,10 +6,10 @@ use std::path::Path;
 
 use pvmap_geometry::GridPoint;
 use pvmap_geometry::grid::GRID_MAX;
-use pvmap_light::{Glimpse, Glimpses, LightError, SeenAt, Sky};
+use pvmap_light::{Effect, Glimpse, Glimpses, Gloss, LightError, Plan, SeenAt, Sky};
 use pvmap_query::Map;
 use pvmap_store::{StoreError, Watch};
-use pvmap_vmap::LightView;
+use pvmap_vmap::{FormatError, LightView};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -40,9 +40,35 @@ pub struct Gaze {
     pub direction: [f64; 3],
 }
 
+/// Lists what pictures of a light leave out because its plan did, though surfels mirror or let
+/// light through. A file that does not say leaves out nothing.
+///
+/// # Errors
+/// Where it is damaged.
+pub fn left_out(light: &LightView<'_>) -> Result<Vec<Effect>, FormatError> {
+    if !light.has_gloss() {
+        return Ok(Vec::new());
+    }
+    let plan = light.plan()?;
+    let mut left_out = Vec::new();
+    for effect in [Effect::MirrorView, Effect::Refraction] {
+        let share = |gloss: Gloss| match effect {
+            Effect::MirrorView => gloss.specular,
+            _ => gloss.transmissive,
+        };
+        let mut ids = 0..light.summary().n_surfels;
+        let is_some = |id| Ok(light.gloss(id)?.is_some_and(|gloss| share(gloss) > 0.0));
+        let is_off = Plan::said_of(plan, effect) == Some(false);
+        if is_off && ids.try_fold(false, |any, id| Ok(any || is_some(id)?))? {
+            left_out.push(effect);
+        }
+    }
+    Ok(left_out)
+}
+
 impl<'a> Mirrors<'a> {
-    /// Reads what surfels mirror and let through; none where nothing of the scan does. The map is
-    /// that of the light, and [`Map::solid`].
+    /// Reads what surfels mirror and let through; none where nothing of the scan does, or its plan
+    /// left both out. The map is that of the light, and [`Map::solid`].
     ///
     /// # Errors
     /// Where a file is damaged.
@@ -55,10 +81,20 @@ impl<'a> Mirrors<'a> {
             return Ok(None);
         }
         let damaged = |e| Error::artifact(path, e);
+        let left_out = left_out(light).map_err(damaged)?;
+        let is_out = |effect| left_out.contains(&effect);
+        let as_planned = |gloss: Gloss| Gloss {
+            specular: if is_out(Effect::MirrorView) { 0.0 } else { gloss.specular },
+            transmissive: if is_out(Effect::Refraction) { 0.0 } else { gloss.transmissive },
+            ..gloss
+        };
         let gloss = (0..light.summary().n_surfels)
-            .map(|id| Ok(light.gloss(id)?.unwrap_or_default()))
+            .map(|id| Ok(as_planned(light.gloss(id)?.unwrap_or_default())))
             .collect::<Result<Vec<_>, _>>()
             .map_err(damaged)?;
+        if !gloss.iter().any(Gloss::is_any) {
+            return Ok(None);
+        }
         let fail = |e| of_light(path, e);
         let sky = Lights::parse(light.lights().map_err(damaged)?)?.sky();
         Ok(Some(Mirrors { map, lit, glimpses: Glimpses::new(map, gloss).map_err(fail)?, sky }))

@@ -232,6 +232,66 @@ fn a_glass_ball_gathers_light_in_its_focus_and_has_a_shadow_around() {
     assert!((0.68..0.78).contains(&found), "{found} of the section");
 }
 
+const SKY: &str = "
+[albedo]
+from = 0.0
+[sky]
+radiance = 1.0
+";
+
+#[test]
+fn the_sky_shines_through_a_roof_of_glass_and_by_way_of_a_mirror() {
+    // Above the middle of the floor, but for what it lets through it would be dark there.
+    let roof = sheet(64, [-1.0, -1.0, 0.5], [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0]], [0.0, 0.0, 1.0]);
+    let bytes = map_of(&[floor(), roof]);
+    let glass = "[[material]]\nbox = [-2, -2, 0.4, 2, 2, 0.6]\ntransmissive = 1.0\n";
+    let (elements, dark) = light(&bytes, SKY, usual());
+    let (_, lit) = light(&bytes, &format!("{SKY}{glass}refraction = 1.0\n"), usual());
+    assert_balanced(&lit);
+    let in_the_middle = |lit: &Lit| {
+        let rows = (0..elements.len()).map(|id| (elements.get(id), lit.channels[0].irradiance[id]));
+        let near = rows.filter(|(one, _)| {
+            let [x, y, z] = one.position;
+            z < 0.01 && (x - 1.0).hypot(y - 1.0) < 0.5
+        });
+        let (flux, area) =
+            near.fold((0.0, 0.0), |sums, (one, h)| (sums.0 + one.area * h, sums.1 + one.area));
+        flux / area
+    };
+    let [dark, lit] = [&dark, &lit].map(in_the_middle);
+    // Light goes straight on in what is no denser than air: what the roof fills of the half sphere
+    // over a place of the floor. Catalogue light.md §5, 4.
+    let corner = |u: f64, v: f64| {
+        let part = |u: f64, v: f64| u / u.hypot(0.5) * (v / u.hypot(0.5)).atan();
+        (part(u, v) + part(v, u)) / (2.0 * PI)
+    };
+    let over = |x: f64, y: f64| {
+        let signs = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)];
+        signs.iter().map(|(i, j)| corner(1.0 + i * x, 1.0 + j * y)).sum::<f64>()
+    };
+    assert!((over(0.0, 0.0) - 0.831_2).abs() < 1e-3, "{}", over(0.0, 0.0));
+    let steps = (0..400).map(|k| (k % 20, k / 20));
+    let places = steps.map(|(i, j)| [i, j].map(|k: u32| (f64::from(k) + 0.5) / 20.0 - 0.5));
+    let disc: Vec<f64> =
+        places.filter(|[x, y]| x.hypot(*y) < 0.5).map(|[x, y]| over(x, y)).collect();
+    let expected = disc.iter().sum::<f64>() / disc.len() as f64;
+    let found = (lit - dark) / PI;
+    assert!((found / expected - 1.0).abs() < 0.03, "{found} of the whole sky, not {expected}");
+
+    let bytes = floor_and_wall();
+    let (elements, without) = light(&bytes, SKY, usual());
+    let (_, with) = light(&bytes, &format!("{SKY}{MIRRORING}"), usual());
+    assert_balanced(&with);
+    let on_wall = |lit: &Lit| -> f64 {
+        let ids = (0..elements.len()).filter(|&id| elements.get(id).normal[0] < -0.5);
+        ids.map(|id| elements.get(id).area * lit.channels[0].irradiance[id]).sum()
+    };
+    // The wall gets half of what the whole sky would give it, and by way of the mirror at its foot
+    // 0.9 of 0.320, the form factor from the wall to the floor.
+    let gained = on_wall(&with) / on_wall(&without);
+    assert!((gained - 1.577).abs() < 0.05, "{gained}");
+}
+
 #[test]
 fn flux_in_a_closed_room_with_mirror_and_glass_is_accounted_for() {
     let bytes = map_of_cloud(&room_cloud(12_000));

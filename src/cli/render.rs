@@ -159,7 +159,8 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     let light = light::of(args, view, path)?;
     let lighting = light.as_ref().map(light::Light::lighting);
     let solid = Map::open(bytes).map_err(|e| Error::of_query(path, e))?.solid();
-    let mirrors = light.as_ref().map(|light| light.mirrors(args, &solid)).transpose()?.flatten();
+    let mirrors =
+        light.as_ref().map(|light| light.mirrors(args, &solid, context)).transpose()?.flatten();
     let is_glossy = mirrors.as_ref().map(|mirrors| |surfel| mirrors.is_glossy(surfel));
     let paint = Paint::new(color_by, seen);
     let paint = lighting.iter().fold(paint, |paint, light| paint.lit(light));

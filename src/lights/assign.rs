@@ -6,9 +6,9 @@ use pvmap_light::{Channel, Elements, Gloss, Lamp, Materials, Sky};
 use pvmap_query::QueryError;
 use pvmap_vmap::{MapView, Surfel};
 
-use super::parse::SHARE_TOLERANCE;
+use super::parse::{MAX_LIGHT, SHARE_TOLERANCE};
 use super::rules::{Albedo, Glow, LampRule, Material, Power, Rgb, Selection, Sun, Vector};
-use super::{Lights, Mark};
+use super::{Lights, Mark, without_classes};
 use crate::Error;
 
 /// What lights a scan, surfel by surfel.
@@ -86,10 +86,19 @@ impl Lights {
         let is_lit = |color: &Rgb| color.iter().any(|&v| v > 0.0);
         let is_sky_lit = sky.is_some_and(|sky| is_lit(&sky.radiance));
         if !emission.iter().any(is_lit)
-            && !lamps.iter().any(|l| is_lit(&light_of(l)))
+            && !lamps.iter().any(|lamp| is_lit(&lamp.color()))
             && !is_sky_lit
         {
-            notes.push("nothing shines".to_owned());
+            notes.push("nothing shines; give a [[glow]], a lamp, [sun] or [sky]".to_owned());
+        }
+        let up = sky.map_or([0.0, 0.0, 1.0], |sky| sky.up);
+        let is_down = |to: &Vector| (0..3).map(|i| to[i] * up[i]).sum::<f64>() < 0.0;
+        let mut suns = lamps.iter().filter_map(|lamp| match lamp {
+            Lamp::Sun { direction, .. } => Some(direction),
+            _ => None,
+        });
+        if suns.any(is_down) {
+            notes.push("the sun is below the horizon, and shines from below".to_owned());
         }
         let is_glossy = made.gloss.iter().any(|g| g[0] > 0.0 || g[1] > 0.0);
         let as_gloss = |g: &[f64; 3]| Gloss {
@@ -138,7 +147,7 @@ impl Lights {
             let exitance = power.over(area);
             for id in shining {
                 emission[id] = [0, 1, 2].map(|c| emission[id][c] + exitance[c]);
-                if emission[id].iter().any(|v| !v.is_finite()) {
+                if emission[id].iter().any(|&v| v > MAX_LIGHT) {
                     let what = match power {
                         Power::Flux(_) => format!("its flux over an area of {area}"),
                         Power::Density(_) => "its exitance".to_owned(),
@@ -247,15 +256,6 @@ fn color_distance(a: Rgb, b: Rgb) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Gives the light of a lamp, in whatever it is measured.
-fn light_of(lamp: &Lamp) -> Rgb {
-    match *lamp {
-        Lamp::Point { intensity, .. } | Lamp::Spot { intensity, .. } => intensity,
-        Lamp::Area { exitance, .. } => exitance,
-        Lamp::Sun { irradiance, .. } => irradiance,
-    }
-}
-
 impl Surfels<'_> {
     /// Lists what a rule selects, rising.
     fn selected(&self, on: &Selection, mark: &Mark) -> Result<Vec<usize>, Error> {
@@ -284,8 +284,7 @@ impl Surfels<'_> {
             }
             Selection::Class(class) => {
                 let Some(classes) = self.classes else {
-                    let what = "a map has no classes; give the octree it was built from";
-                    return Err(Error::Usage(format!("{}{what}", mark.prefix)));
+                    return Err(without_classes(mark));
                 };
                 (0..classes.len()).filter(|&id| classes[id] == class).collect()
             }

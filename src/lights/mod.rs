@@ -30,8 +30,14 @@ pub struct Lights {
     materials_at: Vec<Mark>,
 }
 
+/// Says that a rule by class has no classes.
+fn without_classes(mark: &Mark) -> Error {
+    let what = "a map has no classes; give --octree NAME.octree, the one it was built from";
+    Error::Usage(format!("{}{what}", mark.prefix))
+}
+
 /// Where a rule stands.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Mark {
     line: usize,
     /// For messages: `lights.toml:12:1: `, or `12:1: ` of a text without a name.
@@ -99,9 +105,21 @@ impl Lights {
 
     /// Says whether a rule selects by class, which a map does not have: [`majority_classes`] does.
     pub fn needs_classes(&self) -> bool {
+        self.first_by_class().is_some()
+    }
+
+    /// Says where a rule by class stands that lacks classes.
+    pub(crate) fn without_classes(&self) -> Error {
+        without_classes(self.first_by_class().unwrap_or(&Mark::default()))
+    }
+
+    /// Finds the first rule that selects by class.
+    fn first_by_class(&self) -> Option<&Mark> {
         let rules = &self.rules;
-        let glows = rules.glows.iter().map(|glow| &glow.on);
-        let mut all = glows.chain(rules.materials.iter().map(|material| &material.on));
-        all.any(|on| matches!(on, Selection::Class(_)))
+        let glows = rules.glows.iter().map(|glow| &glow.on).zip(&self.glows_at);
+        let materials = rules.materials.iter().map(|one| &one.on).zip(&self.materials_at);
+        let mut by_class =
+            glows.chain(materials).filter(|(on, _)| matches!(on, Selection::Class(_)));
+        by_class.next().map(|(_, mark)| mark)
     }
 }

@@ -1,5 +1,7 @@
 //! From the text of `lights.toml` to checked rules.
 
+use std::ops::RangeInclusive;
+
 use pvmap_light::{Lamp, Sky};
 use toml::de::DeTable;
 
@@ -11,7 +13,12 @@ use super::table::{Fault, Table, Value, fault};
 /// What a share may be.
 const SHARE: &str = "0 to 1";
 /// What an amount of light may be.
-const AMOUNT: &str = "0 or more";
+const AMOUNT: &str = "0 or more, at most 1e30";
+/// The most light that is computed with: light files hold numbers of 32 bits, to 3e38, and light
+/// adds up.
+pub(super) const MAX_LIGHT: f64 = 1e30;
+/// Indices of refraction: nothing that light goes through is denser.
+const REFRACTION: RangeInclusive<f64> = 1.0..=10.0;
 /// How far the parts of a material may be above 1 in all: thirds are rounded.
 pub(super) const SHARE_TOLERANCE: f64 = 1e-9;
 /// Sine of the least angle between the sides of a parallelogram.
@@ -34,7 +41,7 @@ pub(super) fn parse(text: &str) -> Result<Parsed, Fault> {
         what: e.message().trim_end().replace('\n', "; "),
     })?;
     let known = ["albedo", "glow", "material", "point", "spot", "area", "sun", "sky"];
-    let all = Table::of(text, document.get_ref(), 0, &known)?;
+    let all = Table::whole(text, document.get_ref(), &known)?;
     let glows = tables(&all, "glow", &with_selection(&["exitance", "flux"]))?;
     let shares = ["albedo", "specular", "transmissive", "refraction"];
     let materials = tables(&all, "material", &with_selection(&shares))?;
@@ -79,7 +86,7 @@ fn is_share(v: f64) -> bool {
 }
 
 fn is_amount(v: f64) -> bool {
-    v >= 0.0
+    (0.0..=MAX_LIGHT).contains(&v)
 }
 
 fn albedo(value: Option<Value<'_>>) -> Result<Albedo, Fault> {
@@ -143,7 +150,7 @@ fn selection(table: &Table<'_>) -> Result<Selection, Fault> {
             let Some(within) = within else {
                 return fault(value.at(), "`within` is missing: how far a surfel's colour may be");
             };
-            Ok(Selection::Color(color, within.number_in(AMOUNT, is_amount)?))
+            Ok(Selection::Color(color, within.number_in("0 or more", |v| v >= 0.0)?))
         }
     }
 }
@@ -168,7 +175,7 @@ fn material(table: &Table<'_>) -> Result<Material, Fault> {
     let (specular, transmissive) = (share("specular")?, share("transmissive")?);
     let refraction = match table.get("refraction") {
         None => None,
-        Some(v) => Some(v.number_in("1 or more", |v| v >= 1.0)?),
+        Some(v) => Some(v.number_in("1 to 10", |v| REFRACTION.contains(&v))?),
     };
     if albedo.is_none() && specular.or(transmissive).or(refraction).is_none() {
         let what = "nothing is said of the material; give albedo, specular, transmissive or \
@@ -220,16 +227,17 @@ fn area(table: &Table<'_>) -> Result<LampRule, Fault> {
 
 /// Passes on a lamp whose numbers can be computed with.
 fn checked(table: &Table<'_>, rule: LampRule) -> Result<LampRule, Fault> {
-    let (light, way) = match rule.lamp() {
-        Lamp::Point { intensity, .. } => (intensity, [0.0; 3]),
-        Lamp::Spot { intensity, direction, .. } => (intensity, direction),
+    let lamp = rule.lamp();
+    let way = match lamp {
+        Lamp::Point { .. } => [0.0; 3],
+        Lamp::Spot { direction, .. } | Lamp::Sun { direction, .. } => direction,
         // Squares of its sides are computed with.
-        Lamp::Area { exitance, sides: [u, v], .. } => (exitance, cross(u, v)),
-        Lamp::Sun { irradiance, direction } => (irradiance, direction),
+        Lamp::Area { sides: [u, v], .. } => cross(u, v),
     };
-    match light.iter().chain(&way).all(|v| v.is_finite()) {
+    let is_sound = lamp.color().iter().all(|&v| v <= MAX_LIGHT);
+    match is_sound && way.iter().all(|v| v.is_finite()) {
         true => Ok(rule),
-        false => fault(table.at, "its light is infinite: numbers are too large or too small"),
+        false => fault(table.at, "its light is above 1e30: numbers are too large or too small"),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Tables of a TOML text whose values know where they stand.
 
+use std::fmt;
 use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
@@ -28,6 +29,25 @@ pub(super) struct Table<'a> {
     entries: &'a DeTable<'a>,
     /// The byte it begins at.
     pub(super) at: usize,
+    /// What it is called, as it is written: `[[glow]]`.
+    header: Header<'a>,
+}
+
+/// The key of a table, and whether there may be several.
+#[derive(Debug, Clone, Copy)]
+struct Header<'a> {
+    key: &'a str,
+    is_list: bool,
+}
+
+impl fmt::Display for Header<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.key, self.is_list) {
+            ("", _) => write!(f, "the file"),
+            (key, true) => write!(f, "this [[{key}]]"),
+            (key, false) => write!(f, "this [{key}]"),
+        }
+    }
 }
 
 /// A value and the key it stands under.
@@ -40,16 +60,24 @@ pub(super) struct Value<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Takes a table; a key that is not `known` is a fault.
-    pub(super) fn of(
+    /// Takes the table that is a whole text; a key that is not `known` is a fault.
+    pub(super) fn whole(
         text: &'a str,
         entries: &'a DeTable<'a>,
-        at: usize,
+        known: &[&str],
+    ) -> Result<Table<'a>, Fault> {
+        Table::of(text, entries, (0, Header { key: "", is_list: false }), known)
+    }
+
+    fn of(
+        text: &'a str,
+        entries: &'a DeTable<'a>,
+        (at, header): (usize, Header<'a>),
         known: &[&str],
     ) -> Result<Table<'a>, Fault> {
         let unknown = entries.keys().filter(|key| !known.contains(&key.get_ref().as_ref()));
         let Some(first) = unknown.min_by_key(|key| key.span().start) else {
-            return Ok(Table { text, entries, at });
+            return Ok(Table { text, entries, at, header });
         };
         let key = first.get_ref();
         let nearest = known.iter().min_by_key(|name| n_edits(key, name)).unwrap_or(&"");
@@ -76,11 +104,20 @@ impl<'a> Table<'a> {
         found.sort_by_key(|value| value.span.start);
         match found.as_slice() {
             [one] => Ok(one.clone()),
-            [] => fault(self.at, format!("nothing says which; give one of {}", listed(keys))),
+            [] => fault(self.at, self.has_none_of(keys)),
             [first, second, ..] => {
                 let (a, b) = (first.key, second.key);
                 fault(second.span.start, format!("`{b}` beside `{a}`; give one of them"))
             }
+        }
+    }
+}
+
+impl Table<'_> {
+    fn has_none_of(&self, keys: &[&str]) -> String {
+        match keys {
+            [a, b] => format!("{} has neither `{a}` nor `{b}`", self.header),
+            _ => format!("{} has none of {}; give one", self.header, listed(keys)),
         }
     }
 }
@@ -110,20 +147,31 @@ impl<'a> Value<'a> {
     /// Reads a table with some known keys.
     pub(super) fn table(&self, known: &[&str]) -> Result<Table<'a>, Fault> {
         match self.value {
-            DeValue::Table(entries) => Table::of(self.text, entries, self.at(), known),
-            _ => self.refuse(&format!("a table, [{}]", self.key)),
+            DeValue::Table(entries) => Table::of(self.text, entries, self.headed(false), known),
+            _ => fault(self.at(), format!("`{}` is there once: write [{0}]", self.key)),
         }
     }
 
     /// Reads tables with some known keys, `[[key]]`.
     pub(super) fn tables(&self, known: &[&str]) -> Result<Vec<Table<'a>>, Fault> {
-        let must = format!("tables, [[{}]]", self.key);
-        match self.items() {
-            Some(items) if items.iter().all(|one| one.value.is_table()) => {
-                items.iter().map(|one| one.table(known)).collect()
+        let one = |item: &Value<'a>| match item.value {
+            DeValue::Table(entries) => {
+                Some(Table::of(self.text, entries, item.headed(true), known))
             }
-            _ => self.refuse(&must),
+            _ => None,
+        };
+        let tables = self.items().and_then(|items| items.iter().map(one).collect());
+        match tables {
+            Some(tables) => tables,
+            None => {
+                let what = format!("there may be several: write [[{}]]", self.key);
+                fault(self.at(), format!("{what}, with two brackets"))
+            }
         }
+    }
+
+    fn headed(&self, is_list: bool) -> (usize, Header<'a>) {
+        (self.at(), Header { key: self.key, is_list })
     }
 
     fn items(&self) -> Option<Vec<Value<'a>>> {

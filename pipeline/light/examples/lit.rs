@@ -30,7 +30,11 @@ fn main() {
     let scene = Lighting::new(&map, elements, materials, Vec::new(), None, options).unwrap();
     let planned = scene.plan(&Quiet).unwrap();
     print!("{}", planned.plan);
-    println!("closed: {}, {:.2} s", planned.plan.is_closed, start.elapsed().as_secs_f64());
+    println!(
+        "closed: {}, {:.2} s",
+        planned.plan.let_out().is_some(),
+        start.elapsed().as_secs_f64()
+    );
     let lit = scene.run(&planned, None, &Quiet).unwrap();
     println!("{:?} {:?}", lit.work, lit.stats);
     println!(

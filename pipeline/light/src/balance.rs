@@ -143,6 +143,15 @@ impl<'a> Balanced<'a> {
         Ok(Balanced { exchange, scale, row_sums: Vec::new(), row_error, iterations: 0 })
     }
 
+    /// Lets a share of what leaves each element escape: a scene that is closed but for small
+    /// openings.
+    pub(crate) fn letting_out(mut self, share: f64) -> Balanced<'a> {
+        let by = (1.0 - share).sqrt();
+        self.scale.iter_mut().for_each(|d| *d *= by);
+        self.row_sums.iter_mut().for_each(|sum| *sum *= 1.0 - share);
+        self
+    }
+
     /// Gives what is scaled.
     pub(crate) fn exchange(&self) -> &Exchange {
         self.exchange

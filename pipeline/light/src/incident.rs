@@ -24,8 +24,9 @@ const COARSE: usize = 4;
 const FINE: usize = 12;
 /// Directions to the sky along a side of the square that they are drawn from.
 const SKY: usize = 8;
+pub(crate) const N_DIRECTIONS: usize = SKY * SKY;
 /// How far off the sun and the sky are, in sides of the scan's cube.
-const FAR: f64 = 4.0;
+pub(crate) const FAR: f64 = 4.0;
 
 /// Who may ask what lies between a lamp and an element.
 pub(crate) struct Air<'a> {
@@ -56,6 +57,32 @@ pub(crate) struct OpenSky {
     pub(crate) n_segments: u64,
 }
 
+/// Squares of the lattice over an element whose middles see the sky.
+#[derive(Debug, Default)]
+pub(crate) struct OpenSquares {
+    normal: [f64; 3],
+    up: [f64; 3],
+    open: Vec<[usize; 2]>,
+}
+
+impl OpenSquares {
+    /// Gives a direction to the open sky, each alike by the light that a face gets from there;
+    /// `next` gives numbers of 0…1. Straight up where nothing is open.
+    pub(crate) fn direction(&self, mut next: impl FnMut() -> f64) -> [f64; 3] {
+        let at = (next() * self.open.len() as f64) as usize;
+        let Some(square) = self.open.get(at) else { return self.up };
+        let mut within = |k: usize| (k as f64 + next()) / SKY as f64;
+        let place = [within(square[0]), within(square[1])];
+        let direction = cosine_direction(self.normal, place);
+        // Of a square on the horizon a part is below it.
+        let height = dot(direction, self.up);
+        match height < 0.0 {
+            true => sub(direction, scale(self.up, 2.0 * height)),
+            false => direction,
+        }
+    }
+}
+
 /// What one element gets.
 #[derive(Debug, Clone, Copy, Default)]
 struct Row {
@@ -68,6 +95,11 @@ impl<'a> Air<'a> {
     pub(crate) fn new(map: &'a Map<'a>, elements: &'a Elements) -> Air<'a> {
         let frame = &map.view().frame().frame;
         Air { map, elements, origin: frame.world_of_real([0.0; 3]), extent: frame.extent() }
+    }
+
+    /// Gives the side of the cube.
+    pub(crate) fn extent(&self) -> f64 {
+        self.extent
     }
 
     /// Gives what arrives from all lamps; without `tests`, as if nothing were in between.
@@ -92,18 +124,21 @@ impl<'a> Air<'a> {
         })
     }
 
-    /// Tries some elements, and says how many segments to lamps there were and how many of them
-    /// were blocked.
-    pub(crate) fn try_lamps(&self, lamps: &[Lamp], ids: &[u32]) -> Result<(u64, u64), LightError> {
+    /// Tries some elements, and says of each what arrives from lamps, how many segments that took
+    /// and how many of them were blocked.
+    pub(crate) fn try_lamps(
+        &self,
+        lamps: &[Lamp],
+        ids: &[u32],
+    ) -> Result<Vec<([f64; 3], u64, u64)>, LightError> {
         let tries = ids.par_iter().map(|&id| {
             let mut row = Row::default();
             for lamp in lamps {
                 self.add(lamp, id, true, &mut row)?;
             }
-            Ok::<_, LightError>((row.n_segments, row.n_blocked))
+            Ok((row.irradiance, row.n_segments, row.n_blocked))
         });
-        let sum = |a: (u64, u64), b: (u64, u64)| (a.0 + b.0, a.1 + b.1);
-        Ok(tries.collect::<Result<Vec<_>, _>>()?.into_iter().fold((0, 0), sum))
+        tries.collect()
     }
 
     /// Gives how much of the sky each element sees.
@@ -130,6 +165,20 @@ impl<'a> Air<'a> {
             n_open += u32::from(self.is_open(id, far)?);
         }
         Ok((n_open as f32 / (SKY * SKY) as f32, n_segments))
+    }
+
+    /// Gives the parts of the sky that are open over an element.
+    pub(crate) fn squares(&self, id: u32, up: [f64; 3]) -> Result<OpenSquares, LightError> {
+        let element = self.elements.get(id as usize);
+        let Some(normal) = turned(&element, Some(up)) else { return Ok(OpenSquares::default()) };
+        let mut squares = OpenSquares { normal, up, open: Vec::new() };
+        for (square, direction) in squares_of_sky().zip(cosine_directions(normal)) {
+            let far = add(element.position, scale(direction, FAR * self.extent));
+            if dot(direction, up) > 0.0 && self.is_open(id, far)? {
+                squares.open.push(square);
+            }
+        }
+        Ok(squares)
     }
 
     /// Gives what an element gets from one lamp: flux an area, by channel.
@@ -267,7 +316,7 @@ impl<'a> Air<'a> {
     }
 
     /// Says whether a place, measured from the cube's corner, sees an element.
-    fn is_open(&self, id: u32, place: [f64; 3]) -> Result<bool, LightError> {
+    pub(crate) fn is_open(&self, id: u32, place: [f64; 3]) -> Result<bool, LightError> {
         let node = self.map.view().surfel(id)?.node;
         let here = Located { surfel: id, node, distance: 0.0 };
         let answer = self.map.shadow(&here, &Light::Air(add(place, self.origin)))?;
@@ -303,15 +352,21 @@ fn turned(element: &Element, up: Option<[f64; 3]>) -> Option<[f64; 3]> {
 /// Gives directions around a normal, each for the same share of what a face gets from all around:
 /// the middles of the squares of a lattice, mapped to the disc under the half sphere by equal
 /// areas.
-fn cosine_directions(normal: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
+pub(crate) fn cosine_directions(normal: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
+    let middle = |k: usize| (k as f64 + 0.5) / SKY as f64;
+    squares_of_sky().map(move |at| cosine_direction(normal, at.map(middle)))
+}
+
+fn squares_of_sky() -> impl Iterator<Item = [usize; 2]> {
+    (0..SKY).flat_map(|a| (0..SKY).map(move |b| [a, b]))
+}
+
+/// Gives the direction around a normal that belongs to a place of the unit square.
+fn cosine_direction(normal: [f64; 3], [a, b]: [f64; 2]) -> [f64; 3] {
     let [tangent, other] = beside(normal);
-    let squares = (0..SKY).flat_map(|a| (0..SKY).map(move |b| (a, b)));
-    squares.map(move |(a, b)| {
-        let at = |k: usize| (k as f64 + 0.5) / SKY as f64;
-        let (radius, angle) = (at(a).sqrt(), TAU * at(b));
-        let (sin, cos) = angle.sin_cos();
-        let height = (1.0 - radius * radius).sqrt();
-        let along = add(scale(tangent, radius * cos), scale(other, radius * sin));
-        add(along, scale(normal, height))
-    })
+    let (radius, angle) = (a.sqrt(), TAU * b);
+    let (sin, cos) = angle.sin_cos();
+    let height = (1.0 - radius * radius).max(0.0).sqrt();
+    let along = add(scale(tangent, radius * cos), scale(other, radius * sin));
+    add(along, scale(normal, height))
 }

@@ -1,5 +1,9 @@
 //! Lights that are no part of the scan.
 
+use std::f64::consts::{PI, TAU};
+
+use crate::vector::{cross, norm, scale};
+
 /// A light added to a scene. Places are in world units; colours are red, green and blue.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lamp {
@@ -41,11 +45,23 @@ pub enum Lamp {
 
 impl Lamp {
     /// Gives the numbers that its red, green and blue light are proportional to.
-    pub(crate) fn color(&self) -> [f64; 3] {
+    pub fn color(&self) -> [f64; 3] {
         match *self {
             Lamp::Point { intensity, .. } | Lamp::Spot { intensity, .. } => intensity,
             Lamp::Area { exitance, .. } => exitance,
             Lamp::Sun { irradiance, .. } => irradiance,
+        }
+    }
+
+    /// Gives its flux; none of the sun.
+    pub fn flux(&self) -> Option<[f64; 3]> {
+        match *self {
+            Lamp::Point { intensity, .. } => Some(scale(intensity, 4.0 * PI)),
+            Lamp::Spot { cos_cone, intensity, .. } => {
+                Some(scale(intensity, TAU * (1.0 - cos_cone)))
+            }
+            Lamp::Area { sides: [u, v], exitance, .. } => Some(scale(exitance, norm(cross(u, v)))),
+            Lamp::Sun { .. } => None,
         }
     }
 }

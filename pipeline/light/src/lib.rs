@@ -56,7 +56,7 @@ pub use kernel::Kernel;
 pub use lamp::{Lamp, Sky};
 pub use lighting::{LightOptions, Lighting, Lit, LitChannel, Planned, Work};
 pub use material::{Channel, Materials};
-pub use plan::{Decision, Effect, Plan, Wishes};
+pub use plan::{Decision, Effect, Outlook, Plan, Wishes};
 pub use pvmap_vmap::light::Gloss;
 pub use solve::{FluxBalance, Method, Operator, Solution, SolveOptions, solve};
 pub use specular::ThrownFlux;

@@ -109,6 +109,8 @@ pub struct LitChannel {
 pub struct Lit {
     /// One channel, or red, green and blue.
     pub channels: Vec<LitChannel>,
+    /// What arrives from lamps, in red, green and blue.
+    pub from_lamps: [f64; 3],
     /// The share of open sky over each element; empty where it was not called for.
     pub open_sky: Vec<f32>,
     /// What mirrors and lenses sent on, by channel; empty where nothing was.
@@ -195,10 +197,11 @@ impl<'a> Lighting<'a> {
         let plan = &planned.plan;
         let n = self.elements.len();
         let mut work = Work { n_lamp_segments: planned.n_lamp_tries, ..Work::default() };
-        let (incident, open) = self.incident(plan, &mut work, watch)?;
+        let (incident, open, from_lamps) = self.incident(plan, &mut work, watch)?;
         let channels = self.channels(plan.is_on(Effect::Color));
         let mut lit = Lit {
             channels: Vec::new(),
+            from_lamps,
             open_sky: open.share,
             thrown: Vec::new(),
             scale: vec![1.0; n],
@@ -302,13 +305,13 @@ impl<'a> Lighting<'a> {
         sum(self.elements.areas().iter().zip(irradiance).map(|(a, h)| a * h))
     }
 
-    /// Gives what arrives from lamps and sky.
+    /// Gives what arrives from lamps and sky, and the flux of lamps alone.
     fn incident(
         &self,
         plan: &Plan,
         work: &mut Work,
         watch: &dyn Watch,
-    ) -> Result<(Incident, OpenSky), LightError> {
+    ) -> Result<(Incident, OpenSky, [f64; 3]), LightError> {
         let n = self.elements.len();
         let air = Air::new(self.map, &self.elements);
         let mut incident =
@@ -318,6 +321,8 @@ impl<'a> Lighting<'a> {
             incident = air.lamps(&self.lamps, plan.is_on(Effect::Occlusion), watch)?;
             work.n_lamp_segments += incident.n_segments;
         }
+        let from_lamps =
+            [0, 1, 2].map(|channel: usize| self.flux_of(&incident.irradiance[channel]));
         let mut open = OpenSky::default();
         if plan.is_on(Effect::Sky) {
             watch.stage("sky", Some(n as u64), "surfels");
@@ -327,7 +332,7 @@ impl<'a> Lighting<'a> {
             work.n_sky_segments = open.n_segments;
             incident.add_sky(&sky, &open);
         }
-        Ok((incident, open))
+        Ok((incident, open, from_lamps))
     }
 
     /// Gives the channels that are computed: three, or their mean.
@@ -353,7 +358,7 @@ impl<'a> Lighting<'a> {
         watch: &dyn Watch,
     ) -> Result<Balanced<'e>, LightError> {
         watch.stage("scale", None, "rounds");
-        let scene = if plan.is_closed { Scene::Closed } else { Scene::Open };
+        let scene = if plan.let_out().is_some() { Scene::Closed } else { Scene::Open };
         let tolerance = self.operator_tolerance();
         let balanced = match scaling {
             Some(scaling) => {
@@ -368,7 +373,7 @@ impl<'a> Lighting<'a> {
         lit.stats = exchange.stats();
         lit.work.n_near_field = exchange.n_near_field();
         lit.work.n_applications += balanced.n_applications();
-        Ok(balanced)
+        Ok(balanced.letting_out(plan.let_out().unwrap_or(0.0)))
     }
 
     /// Joins what arrives from outside and what elements exchange.
@@ -446,6 +451,6 @@ fn channel_of(incident: &Incident, index: usize, has_color: bool) -> Vec<f64> {
 }
 
 /// Gives the mean of three numbers; of three equal ones the number itself.
-fn mean([r, g, b]: [f64; 3]) -> f64 {
+pub(crate) fn mean([r, g, b]: [f64; 3]) -> f64 {
     r + ((g - r) + (b - r)) / 3.0
 }

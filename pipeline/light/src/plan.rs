@@ -99,10 +99,23 @@ pub struct Decision {
     pub is_wish: bool,
     /// What the scene says, with the surfels that say it.
     pub evidence: String,
-    /// The share of all emitted flux that is wrong or missing at the most without it.
+    /// The share of all light, emitted and reflected, that is wrong or missing without it: as far
+    /// as is known at the most, 0…1.
     pub skipped: f64,
     /// Processor seconds that it takes, or would take, roughly.
     pub seconds: f64,
+}
+
+/// What leads out of a scene, and whether it counts as closed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlook {
+    /// The share of directions from surfels in which there is nothing, but for gaps of patches.
+    pub open_share: f64,
+    /// Directions that were looked in.
+    pub n_directions: u64,
+    /// Whether that is so little that the scene is closed but for it: so much escapes everywhere
+    /// alike.
+    pub is_closed: bool,
 }
 
 /// The decisions of all effects, in the order of [`Effect::ALL`].
@@ -114,10 +127,8 @@ pub struct Plan {
     pub order: Option<usize>,
     /// Bounces after which what is left is below the tolerance.
     pub bounces: u32,
-    /// The share of directions from surfels in which there is nothing.
-    pub open_share: f64,
-    /// Whether that is so little that nothing escapes.
-    pub is_closed: bool,
+    /// What leads out; none where no light is exchanged.
+    pub outlook: Option<Outlook>,
 }
 
 impl Plan {
@@ -131,17 +142,40 @@ impl Plan {
         self.decision(effect).is_on
     }
 
-    /// Sums what is left out at the most, as a share of all emitted flux.
+    /// Sums what is left out at the most, as a share of all light.
     pub fn skipped(&self) -> f64 {
         let left_out = self.decisions.iter().filter(|decision| !decision.is_on);
         left_out.map(|decision| decision.skipped).sum()
     }
+
+    /// Gives the share of light that escapes everywhere alike; none where the scene is open.
+    pub fn let_out(&self) -> Option<f64> {
+        self.outlook.filter(|outlook| outlook.is_closed).map(|outlook| outlook.open_share)
+    }
+
+    /// Says whether an effect was computed, by the text of a plan; none where that does not say.
+    pub fn said_of(text: &str, effect: Effect) -> Option<bool> {
+        let mut lines = text.lines().map(str::split_whitespace);
+        let state = lines.find_map(|mut words| {
+            if words.next() == Some(effect.name()) { words.next() } else { None }
+        })?;
+        match state.trim_end_matches(',') {
+            "on" => Some(true),
+            "off" => Some(false),
+            _ => None,
+        }
+    }
 }
 
+/// Columns of a line before the evidence, and of the evidence.
+const BEFORE_EVIDENCE: usize = 54;
+const EVIDENCE: usize = 46;
+
 impl fmt::Display for Plan {
-    /// Writes a line an effect: its name, on or off, the bound, the seconds and the evidence.
+    /// Writes a line an effect: its name, on or off, the bound, the seconds and the evidence, which
+    /// goes on in lines that begin with spaces; then whether the scene is closed.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<26}{:<9}{:>9}  {:>9}  evidence", "effect", "", "left out", "CPU s")?;
+        writeln!(f, "{:<25}{:<11}{:>7}  {:>7}  evidence", "effect", "", "loses", "CPU s")?;
         for decision in &self.decisions {
             let state = match (decision.is_on, decision.is_wish) {
                 (true, false) => "on",
@@ -150,13 +184,49 @@ impl fmt::Display for Plan {
                 (false, true) => "off, asked",
             };
             let bound = if decision.is_on { 0.0 } else { decision.skipped };
-            let bound = if bound == 0.0 { "0".to_owned() } else { format!("≤ {bound:.0e}") };
-            let seconds = format!("{:.2}", decision.seconds);
-            let name = decision.effect.name();
-            writeln!(f, "{name:<25} {state:<10}{bound:>8}  {seconds:>9}  {}", decision.evidence)?;
+            let begin = (decision.effect.name(), state, bound, decision.seconds);
+            write_line(f, begin, &decision.evidence)?;
         }
-        Ok(())
+        let Some(Outlook { open_share, n_directions, is_closed }) = self.outlook else {
+            return Ok(());
+        };
+        let (state, why) = match is_closed {
+            true => ("closed", "so much escapes, everywhere alike"),
+            false => ("open", "what arrives nowhere escapes"),
+        };
+        let percent = 100.0 * open_share;
+        let what = match open_share {
+            0.0 => format!("none of {n_directions} directions leads out"),
+            _ => format!("{percent:.2} % of {n_directions} directions lead out: {why}"),
+        };
+        write_line(f, ("scene", state, 0.0, 0.0), &what)
     }
+}
+
+/// Writes a line of a plan.
+fn write_line(
+    f: &mut fmt::Formatter<'_>,
+    (name, state, bound, seconds): (&str, &str, f64, f64),
+    evidence: &str,
+) -> fmt::Result {
+    let bound = match bound {
+        0.0 => "0".to_owned(),
+        all if all >= 0.95 => "all".to_owned(),
+        part => format!("≤ {part:.0e}"),
+    };
+    write!(f, "{name:<25}{state:<11}{bound:>7}  {seconds:>7.2}  ")?;
+    let mut column = 0;
+    for word in evidence.split_whitespace() {
+        let length = word.chars().count();
+        if column > 0 && column + 1 + length > EVIDENCE {
+            write!(f, "\n{:BEFORE_EVIDENCE$}", "")?;
+            column = 0;
+        }
+        let gap = if column > 0 { " " } else { "" };
+        write!(f, "{gap}{word}")?;
+        column += gap.len() + length;
+    }
+    writeln!(f)
 }
 
 #[cfg(test)]
@@ -170,6 +240,33 @@ mod tests {
             assert_eq!(Effect::of_name(effect.name()), Some(effect));
         }
         assert_eq!(Effect::of_name("fog"), None);
+    }
+
+    #[test]
+    fn lines_are_short_and_say_of_each_effect_whether_it_is_on() {
+        let decide = |effect: Effect| Decision {
+            effect,
+            is_on: effect > Effect::Bounces,
+            is_wish: effect > Effect::Caustics,
+            evidence: "many long words of evidence ".repeat(effect.index()),
+            skipped: [3e5, 1e-3, 0.0][effect.index() % 3],
+            seconds: 1234.5,
+        };
+        let outlook = Outlook { open_share: 1e-3, n_directions: 16_384, is_closed: true };
+        let plan = Plan {
+            decisions: Effect::ALL.into_iter().map(decide).collect(),
+            order: None,
+            bounces: 3,
+            outlook: Some(outlook),
+        };
+        let text = plan.to_string();
+        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+        assert!(text.contains("all") && !text.contains("3e5"), "{text}");
+        assert!(text.contains("\nscene                    closed"), "{text}");
+        for effect in Effect::ALL {
+            assert_eq!(Plan::said_of(&text, effect), Some(plan.is_on(effect)), "{text}");
+        }
+        assert_eq!(Plan::said_of("direct: on\nskylight on\n", Effect::Direct), None);
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! element through a place on the element, on by reflection or refraction, and at last onto the
 //! elements around the place that is hit. No photon goes where nothing glossy is.
 
+use std::f64::consts::PI;
+
 use fastrand::Rng;
 use pvmap_store::Watch;
 use rayon::prelude::*;
@@ -13,8 +15,9 @@ use crate::balance::Balanced;
 use crate::element::Element;
 use crate::error::{LightError, check};
 use crate::hierarchy::Span;
-use crate::incident::Air;
-use crate::lamp::Lamp;
+use crate::incident::{Air, OpenSquares};
+use crate::lamp::{Lamp, Sky};
+use crate::lighting::mean;
 use crate::optics::{Optics, SPREAD_RADII};
 use crate::solve::Operator;
 use crate::sum::sum;
@@ -24,10 +27,12 @@ use crate::vector::{add, beside, norm, scale, sub};
 const CHUNK: usize = 64;
 /// Glossy surfaces that a photon meets at the most.
 const MAX_DEPTH: u32 = 8;
-/// What shines at glossy elements: exitance by channel, and lamps.
+/// What shines at glossy elements: exitance by channel, lamps, and the sky with the share of it
+/// that is open over each element.
 pub(crate) struct Shining<'a> {
     pub(crate) exitance: &'a [Vec<f64>],
     pub(crate) lamps: &'a [Lamp],
+    pub(crate) sky: Option<(&'a Sky, &'a [f32])>,
 }
 
 /// Flux that mirrors and lenses sent on: what was not absorbed there.
@@ -78,10 +83,10 @@ pub(crate) struct Specular<'a> {
 }
 
 /// Where photons to a glossy element come from.
-#[derive(Debug, Clone, Copy)]
-enum From {
+enum Source<'a> {
     Element(u32),
-    Lamp(usize),
+    Lamp(&'a Lamp),
+    Sky(&'a OpenSquares),
 }
 
 /// What the photons of one glossy element brought: flux by element and channel.
@@ -109,12 +114,12 @@ impl Specular<'_> {
         let none = vec![ThrownFlux::default(); n_channels];
         let mut thrown = Thrown { irradiance: zeros, flux: none, n_photons: 0 };
         let flux = self.flux_from_elements(shining)?;
-        let of_lamps = self.flux_from_lamps(shining.lamps, n_channels)?;
+        let of_outside = self.flux_from_outside(shining, n_channels)?;
         let glossy = self.glossy();
         let arriving = |k: usize| {
             let id = glossy[k] as usize;
-            let lamps: f64 = of_lamps[k].iter().map(total).sum();
-            flux.iter().map(|channel| channel[id]).sum::<f64>() + lamps
+            let outside: f64 = of_outside[k].iter().map(total).sum();
+            flux.iter().map(|channel| channel[id]).sum::<f64>() + outside
         };
         let all: f64 = (0..glossy.len()).map(arriving).sum();
         if all <= 0.0 {
@@ -129,7 +134,7 @@ impl Specular<'_> {
             flux.iter().zip(&mut here).for_each(|(channel, to)| *to = channel[id]);
             let share = arriving(k) / all;
             let n_photons = (share * n_photons).ceil() as u64;
-            self.photons_by(glossy[k], here, &of_lamps[k], (shining, n_photons))
+            self.photons_by(glossy[k], here, &of_outside[k], (shining, n_photons))
         };
         for first in (0..glossy.len()).step_by(CHUNK) {
             let range = first..glossy.len().min(first + CHUNK);
@@ -171,41 +176,43 @@ impl Specular<'_> {
         shining.exitance.iter().map(one).collect()
     }
 
-    /// Gives what arrives at each glossy element from each lamp.
-    fn flux_from_lamps(
+    /// Gives what arrives at each glossy element from each lamp, and at last from the sky.
+    fn flux_from_outside(
         &self,
-        lamps: &[Lamp],
+        shining: &Shining<'_>,
         n_channels: usize,
     ) -> Result<Vec<Vec<[f64; 3]>>, LightError> {
         let air = Air::new(self.optics.map, self.optics.elements);
         let one = |&id: &u32| {
             let area = self.optics.elements.areas()[id as usize];
-            let of_lamp = |lamp: &Lamp| {
-                let irradiance = air.of_lamp(lamp, id)?;
-                let flux = scale(irradiance, area);
-                // One channel is the mean of three.
-                Ok(if n_channels == 3 { flux } else { [total(&flux) / 3.0, 0.0, 0.0] })
+            let flux = |irradiance: [f64; 3]| match n_channels {
+                3 => scale(irradiance, area),
+                _ => [mean(irradiance) * area, 0.0, 0.0],
             };
-            lamps.iter().map(of_lamp).collect::<Result<Vec<_>, LightError>>()
+            let of_lamp = |lamp: &Lamp| Ok(flux(air.of_lamp(lamp, id)?));
+            let of_sky = shining.sky.map(|(sky, open)| {
+                Ok(flux(scale(sky.radiance, PI * f64::from(open[id as usize]))))
+            });
+            let of_lamps = shining.lamps.iter().map(of_lamp);
+            of_lamps.chain(of_sky).collect::<Result<Vec<_>, LightError>>()
         };
         self.glossy().par_iter().map(one).collect()
     }
 
     /// Traces the photons of one glossy element, at which `flux` arrives from elements and more
-    /// from lamps.
+    /// from outside: from each lamp, then from the sky.
     fn photons_by(
         &self,
         id: u32,
         flux: [f64; 3],
-        of_lamps: &[[f64; 3]],
+        of_outside: &[[f64; 3]],
         (shining, n_photons): (&Shining<'_>, u64),
     ) -> Result<Brought, LightError> {
         let mut rng = Rng::with_seed(u64::from(id));
         let mut brought = Brought::default();
         let sources = self.sources_of(id, shining);
         let weight: f64 = sources.iter().map(|source| total(&source.1)).sum();
-        let lamps_flux: f64 = of_lamps.iter().map(total).sum();
-        let all = total(&flux) + lamps_flux;
+        let all = total(&flux) + of_outside.iter().map(total).sum::<f64>();
         let share = |part: f64| (n_photons as f64 * part / all).ceil() as u64;
         if weight > 0.0 && total(&flux) > 0.0 {
             let n = share(total(&flux));
@@ -223,14 +230,22 @@ impl Specular<'_> {
                 let by = total(&color);
                 let part = |c: usize| if sums[c] > 0.0 { color[c] / by / sums[c] } else { 0.0 };
                 let carried = [0, 1, 2].map(|c| flux[c] * part(c));
-                self.photon(id, From::Element(from), carried, (shining, &mut rng), &mut brought)?;
+                let source = Source::Element(from);
+                self.photon(id, &source, carried, &mut rng, &mut brought)?;
             }
         }
-        for (lamp, flux) in of_lamps.iter().enumerate().filter(|(_, flux)| total(flux) > 0.0) {
+        let open = match shining.sky {
+            Some((sky, _)) => {
+                Air::new(self.optics.map, self.optics.elements).squares(id, sky.up)?
+            }
+            None => OpenSquares::default(),
+        };
+        let sources = shining.lamps.iter().map(Source::Lamp).chain([Source::Sky(&open)]);
+        for (source, flux) in sources.zip(of_outside).filter(|(_, flux)| total(flux) > 0.0) {
             let n = share(total(flux));
             for _ in 0..n {
                 let carried = scale(*flux, 1.0 / n as f64);
-                self.photon(id, From::Lamp(lamp), carried, (shining, &mut rng), &mut brought)?;
+                self.photon(id, &source, carried, &mut rng, &mut brought)?;
             }
         }
         Ok(brought)
@@ -261,19 +276,20 @@ impl Specular<'_> {
     fn photon(
         &self,
         id: u32,
-        from: From,
+        from: &Source<'_>,
         carried: [f64; 3],
-        (shining, rng): (&Shining<'_>, &mut Rng),
+        rng: &mut Rng,
         brought: &mut Brought,
     ) -> Result<(), LightError> {
         brought.n_photons += 1;
         let mut at = id;
         let mut place = somewhere_on(&self.optics.elements.get(id as usize), rng);
-        let mut direction = match from {
-            From::Element(j) => {
+        let mut direction = match *from {
+            Source::Element(j) => {
                 sub(place, somewhere_on(&self.optics.elements.get(j as usize), rng))
             }
-            From::Lamp(lamp) => self.along_lamp(&shining.lamps[lamp], place, rng),
+            Source::Lamp(lamp) => self.along_lamp(lamp, place, rng),
+            Source::Sky(open) => scale(open.direction(|| rng.f64()), -1.0),
         };
         let mut carried = carried;
         for _ in 0..MAX_DEPTH {

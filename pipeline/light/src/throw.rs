@@ -17,7 +17,7 @@ const PHOTONS: f64 = 20.0;
 const MIN_PHOTONS: u64 = 10_000;
 const MAX_PHOTONS: u64 = 4_000_000;
 /// Rounds of light that is thrown, reflected and thrown again, at the most.
-const MAX_ROUNDS: u32 = 5;
+pub(crate) const MAX_ROUNDS: u32 = 5;
 
 impl Lighting<'_> {
     /// Adds what glossy elements throw to what arrives from outside: first of what shines, then of
@@ -33,8 +33,6 @@ impl Lighting<'_> {
         let mut thrown = Thrown::default();
         let hierarchy = Hierarchy::of_map(self.map.view())?;
         let surroundings = Surroundings::new(Arc::clone(&self.elements), hierarchy);
-        // Photons err as one over the root of their number.
-        let n_photons = (PHOTONS / (self.options.error * self.options.error)) as u64;
         let optics = Optics {
             map: self.map,
             elements: &self.elements,
@@ -42,18 +40,17 @@ impl Lighting<'_> {
             surroundings: &surroundings,
             refracts: scene.plan.is_on(Effect::Refraction),
         };
-        let specular = Specular {
-            optics,
-            balanced: scene.balanced,
-            n_photons: n_photons.clamp(MIN_PHOTONS, MAX_PHOTONS),
-        };
+        let specular = Specular { optics, balanced: scene.balanced, n_photons: self.n_photons() };
         let n_glossy = specular.glossy().len() as u64;
         let mut sent: Vec<Vec<f64>> = scene.channels.iter().map(|c| c.emission.clone()).collect();
         let mut most = 0.0;
         if scene.plan.is_on(Effect::Caustics) {
             watch.stage("caustics", Some(n_glossy), "surfels");
-            let shining = Shining { exitance: &sent, lamps: &self.lamps };
+            let open = std::mem::take(&mut lit.open_sky);
+            let sky = self.sky.as_ref().filter(|_| !open.is_empty()).map(|sky| (sky, &open[..]));
+            let shining = Shining { exitance: &sent, lamps: &self.lamps, sky };
             thrown.add(specular.pass(&shining, &mut most, watch)?, incident);
+            lit.open_sky = open;
         }
         if !scene.plan.is_on(Effect::DiffuseSpecularDiffuse) || scene.balanced.is_none() {
             return Ok(thrown);
@@ -69,7 +66,7 @@ impl Lighting<'_> {
                 })
                 .collect();
             watch.stage("caustics", Some(n_glossy), "surfels");
-            let shining = Shining { exitance: &new, lamps: &[] };
+            let shining = Shining { exitance: &new, lamps: &[], sky: None };
             let more = specular.pass(&shining, &mut most, watch)?;
             let resent: f64 = more.flux.iter().map(|flux| flux.resent).sum();
             thrown.add(more, incident);
@@ -84,5 +81,12 @@ impl Lighting<'_> {
         // What came last is still to be reflected.
         lit.channels.clear();
         Ok(thrown)
+    }
+
+    /// Gives the photons of the pass that brings most: they err as one over the root of their
+    /// number.
+    pub(crate) fn n_photons(&self) -> u64 {
+        let n_photons = (PHOTONS / (self.options.error * self.options.error)) as u64;
+        n_photons.clamp(MIN_PHOTONS, MAX_PHOTONS)
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use pvmap::query::Map;
 use pvmap::render::{Camera, Glossy, Picture, Rgb, Sample, held_bytes_glossy};
 use pvmap::vmap::{LightView, MapView};
-use pvmap::{Error, Exposure, Gaze, LitMap, Mapped, Mirrors, Watch, memory};
+use pvmap::{Error, Exposure, Gaze, LitMap, Mapped, Mirrors, Watch, left_out, memory};
 
 use super::Args;
 use crate::cli::Context;
@@ -49,10 +49,16 @@ impl Light {
         &'a self,
         args: &Args,
         map: &'a Map<'a>,
+        context: &Context,
     ) -> Result<Option<Mirrors<'a>>, Error> {
         let view = LightView::open(&self.bytes).map_err(|e| Error::artifact(&self.path, e))?;
         if args.no_mirrors || !view.has_gloss() {
             return Ok(None);
+        }
+        let left_out = left_out(&view).map_err(|e| Error::artifact(&self.path, e))?;
+        for effect in left_out {
+            let (name, path) = (effect.name(), self.path.display());
+            context.progress.note(&format!("{path} was planned without {name}: so is the picture"));
         }
         let what = "the picture with its mirrors (--size)";
         memory::require(what, held_bytes_glossy(args.size), args.memory)?;
