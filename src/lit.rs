@@ -179,8 +179,8 @@ pub fn require_light(
         return Ok(());
     }
     Err(Error::Data(format!(
-        "{}: the light of map {wanted:032x}, and {} is {found:032x}; give that map, or run pvmap \
-         light on this one",
+        "{}: the light of another map, {wanted:032x}, and {} is {found:032x}; give that map, or \
+         run pvmap light on this one",
         light_path.display(),
         map_path.display()
     )))

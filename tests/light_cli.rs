@@ -44,7 +44,8 @@ fn what_cannot_work_is_refused_before_it_costs_anything() {
     assert_eq!(run.stdout, "", "refused before it was planned");
     let run = bench.line(&format!("{light} -o no/where.light")).fails(73, &["no/where.light"]);
     assert_eq!(run.stdout, "", "refused before it was planned");
-    bench.line(&format!("{light} --error 1e-7")).fails(2, &["no share from 1e-6"]);
+    bench.line(&format!("{light} --error 1e-7")).fails(2, &["--error 1e-7: ", "or --direct"]);
+    bench.line(&format!("{light} --error 1e-10")).fails(2, &["no share from 1e-9"]);
     let both = format!("{light} --force sky --no color --no sky");
     bench.line(&both).fails(2, &["--force sky and --no sky"]);
     bench.write("class.toml", "# lamps\n[[glow]]\nclass = 6\nflux = 1\n");

@@ -87,7 +87,7 @@ pub(super) struct Args {
     /// the current directory]
     #[arg(short, long, value_name = "NAME.light", verbatim_doc_comment)]
     output: Option<PathBuf>,
-    /// How much light may be wrong: 1%, 0.01; at least 1e-6
+    /// How much light may be wrong: 1%, 0.01, at least 1e-6
     #[arg(long, default_value = "1%", value_parser = parse_share, value_name = "E")]
     error: f64,
     /// Plan and stop: what the scene calls for, and why
@@ -168,6 +168,10 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
 
 /// Refuses inputs that are not what they have to be, and an output that is one of them.
 fn check(args: &Args, map: &Path, lights: &Path, output: &Path) -> Result<(), Error> {
+    if args.error < LEAST_ERROR && !args.direct {
+        let what = "multipoles err by 1e-6; give a larger one, or --direct";
+        return Err(Error::Usage(format!("--error {:e}: {what}", args.error)));
+    }
     let (path, bytes) = map_file(map)?;
     Map::open(&bytes).map_err(|e| Error::of_query(&path, e))?;
     let octree = args.octree.iter().map(|folder| folder.join(FILE_NAME));
@@ -198,8 +202,9 @@ fn default_output(map: &Path) -> PathBuf {
     PathBuf::from(map.file_name().unwrap_or(map.as_os_str())).with_extension("light")
 }
 
-/// Errors that can be asked for: numbers of 32 bits are stored.
-const ERRORS: Range<f64> = 1e-6..1.0;
+/// Errors that can be asked for, and the least of them without `--direct`: order 7 errs so much.
+const ERRORS: Range<f64> = 1e-9..1.0;
+const LEAST_ERROR: f64 = 1e-6;
 
 /// Reads a share: `1%` or `0.01`.
 fn parse_share(text: &str) -> Result<f64, String> {
@@ -210,7 +215,7 @@ fn parse_share(text: &str) -> Result<f64, String> {
     let share = number.trim().parse::<f64>().map(|v| v * by).ok();
     share
         .filter(|share| ERRORS.contains(share))
-        .ok_or_else(|| format!("{text:?} is no share from 1e-6 to below 1; write 1% or 0.01"))
+        .ok_or_else(|| format!("{text:?} is no share from 1e-9 to below 1; write 1% or 0.01"))
 }
 
 fn parse_effect(text: &str) -> Result<Effect, String> {

@@ -118,6 +118,10 @@ pub struct Outlook {
     pub is_closed: bool,
 }
 
+/// The share of directions that gaps between patches leave open in rooms that are closed: up to
+/// 1.2e-4 of 16 384 were counted.
+const GAPS: f64 = 2e-4;
+
 /// The decisions of all effects, in the order of [`Effect::ALL`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -150,7 +154,8 @@ impl Plan {
 
     /// Gives the share of light that escapes everywhere alike; none where the scene is open.
     pub fn let_out(&self) -> Option<f64> {
-        self.outlook.filter(|outlook| outlook.is_closed).map(|outlook| outlook.open_share)
+        let closed = self.outlook.filter(|outlook| outlook.is_closed);
+        closed.map(|Outlook { open_share, .. }| if open_share < GAPS { 0.0 } else { open_share })
     }
 
     /// Says whether an effect was computed, by the text of a plan; none where that does not say.
@@ -187,12 +192,13 @@ impl fmt::Display for Plan {
             let begin = (decision.effect.name(), state, bound, decision.seconds);
             write_line(f, begin, &decision.evidence)?;
         }
-        let Some(Outlook { open_share, n_directions, is_closed }) = self.outlook else {
+        let Some(Outlook { open_share, n_directions, .. }) = self.outlook else {
             return Ok(());
         };
-        let (state, why) = match is_closed {
-            true => ("closed", "so much escapes, everywhere alike"),
-            false => ("open", "what arrives nowhere escapes"),
+        let (state, why) = match self.let_out() {
+            Some(0.0) => ("closed", "as gaps of patches do"),
+            Some(_) => ("closed", "so much escapes, everywhere alike"),
+            None => ("open", "what arrives nowhere escapes"),
         };
         let percent = 100.0 * open_share;
         let what = match open_share {
