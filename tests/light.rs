@@ -182,7 +182,7 @@ fn visible_fractions_are_the_part_that_is_exchanged() {
                 assert!(off <= 1e-15 * whole, "{i} from {j}: {fraction} of {whole:e}, {off:e}");
             }
         }
-        assert!(n_parts > 0 && direct.stats().n_shares > 0, "nothing is half in shadow");
+        assert!(n_parts > 0 && direct.stats().n_parts > 0, "nothing is half in shadow");
         let exact = irradiance(&direct);
         for order in [2, 4] {
             let found = irradiance(&exchange(map.view(), Some(order)).unwrap());
