@@ -82,7 +82,7 @@ pub struct FluxBalance {
     pub emitted: f64,
     /// Σ A (1 - ρ) H.
     pub absorbed: f64,
-    /// Σ B (A - Σ_j G_ij), what arrives at no element.
+    /// Σ A (B - H), what leaves elements and arrives at none.
     pub escaped: f64,
     /// Flux below 0 that was cut off at the end: interpolation may overshoot.
     pub clipped: f64,
@@ -159,7 +159,7 @@ pub(crate) fn solve_each(
     let mut solved = systems.iter().zip(states);
     let solution = |(emission, _): &(&[f64], &[f64])| match emitted(emission) > 0.0 {
         true => match solved.next() {
-            Some((system, state)) => finish(system, state, &row_sums),
+            Some((system, state)) => finish(system, state),
             None => unreachable!("a system for each channel that shines"),
         },
         false => Ok(Solution::dark(n, options.method)),
@@ -351,17 +351,13 @@ impl State {
 }
 
 /// Makes the solution of what has been reflected.
-fn finish<O: Operator>(
-    system: &System<'_, O>,
-    state: State,
-    row_sums: &[f64],
-) -> Result<Solution, LightError> {
+fn finish<O: Operator>(system: &System<'_, O>, state: State) -> Result<Solution, LightError> {
     let (areas, albedo) = (system.operator.areas(), system.albedo);
     let exitance = system.lit(&state.x);
     let flux = state.arriving(system, &exitance)?;
     let absorbed = sum(flux.iter().zip(albedo).map(|(flux, rho)| (1.0 - rho) * flux));
-    let rows = areas.iter().zip(row_sums).zip(&exitance);
-    let escaped = sum(rows.map(|((area, row), b)| b * (area - row)));
+    let leaving = sum(areas.iter().zip(&exitance).map(|(area, b)| area * b));
+    let escaped = leaving - sum(flux.iter().copied());
     let clipped = sum(state.x.iter().zip(areas).map(|(x, area)| area * (-x).max(0.0)));
     let lit = system.emission.iter().zip(&state.x).map(|(e, x)| e + x.max(0.0));
     Ok(Solution {
