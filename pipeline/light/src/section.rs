@@ -92,6 +92,11 @@ impl Section {
         self.corners[..self.n].iter().map(|&p| self.place(p))
     }
 
+    /// Gives the triangles between its first corner and each of its sides, in space.
+    pub(crate) fn triangles(&self) -> impl Iterator<Item = [[f64; 3]; 3]> + '_ {
+        self.flat_triangles().map(|corners| corners.map(|p| self.place(p)))
+    }
+
     /// Gives places spread over it with the shares of its area that they stand for: the middles of
     /// the quarters of its triangles.
     pub(crate) fn places(&self) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
