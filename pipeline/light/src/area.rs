@@ -46,7 +46,7 @@ const MIN_POINTS: u64 = 32;
 /// none, that of its plane within cell and patch box.
 ///
 /// Of scenes of 400 000 points with `depth8`: the furnished room has 212.16 m², its surfels 212.21
-/// m²; the bunny's room 202.71 and 202.63, the cave 1149.5 and 1147.5. A furnished room of 200 000
+/// m²; the bunny's room 202.71 and 202.63, the cave 1149.5 and 1141.0. A furnished room of 200 000
 /// points with noise of 10 mm, 64 times denser at one end, normals estimated: 205.8.
 ///
 /// # Errors
