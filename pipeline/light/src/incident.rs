@@ -1,8 +1,9 @@
 //! The light that arrives from lamps and from the sky.
 //!
 //! Lamps are no part of a map, so nothing is known of what they see: segments are tried through its
-//! surfels. What is irradiated without anything in between is exact; what stands in between is
-//! found at the middle of each element, for one place of a point light and for many of an area.
+//! surfels. What is irradiated without anything in between is exact, for point lights and spots all
+//! over an element, for areas and the sun at its middle; what stands in between is found at the
+//! middle of each element, for one place of a point light and for many of an area.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -14,7 +15,8 @@ use rayon::prelude::*;
 use crate::element::{Element, Elements};
 use crate::error::{LightError, check};
 use crate::lamp::{Lamp, Sky};
-use crate::polygon::irradiance_of_polygon;
+use crate::polygon::{Cone, irradiance_of_polygon, solid_angle, solid_angle_within};
+use crate::section::Section;
 use crate::vector::{add, beside, cross, dot, norm, scale, sub};
 
 /// Elements that are done at a time.
@@ -25,6 +27,12 @@ const FINE: usize = 12;
 /// Directions to the sky along a side of the square that they are drawn from.
 const SKY: usize = 8;
 pub(crate) const N_DIRECTIONS: usize = SKY * SKY;
+/// The share of its section with its cell that an element's points cover where it has all of it.
+const MIN_COVERED: f64 = 0.8;
+/// The golden angle, which no number of turns comes near to a circle of.
+const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
+/// What 1 is to the plastic number and to its square: steps that spread pairs of numbers evenly.
+const PLASTIC: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 /// How far off the sun and the sky are, in sides of the scan's cube.
 pub(crate) const FAR: f64 = 4.0;
 
@@ -156,7 +164,7 @@ impl<'a> Air<'a> {
         let element = self.elements.get(id as usize);
         let Some(normal) = turned(&element, up) else { return Ok((0.0, 0)) };
         let (mut n_open, mut n_segments) = (0u32, 0);
-        for direction in cosine_directions(normal) {
+        for direction in cosine_directions(normal, id) {
             if up.is_some_and(|up| dot(direction, up) <= 0.0) {
                 continue;
             }
@@ -164,7 +172,7 @@ impl<'a> Air<'a> {
             let far = add(element.position, scale(direction, FAR * self.extent));
             n_open += u32::from(self.is_open(id, far)?);
         }
-        Ok((n_open as f32 / (SKY * SKY) as f32, n_segments))
+        Ok((n_open as f32 / N_DIRECTIONS as f32, n_segments))
     }
 
     /// Gives the parts of the sky that are open over an element.
@@ -172,7 +180,9 @@ impl<'a> Air<'a> {
         let element = self.elements.get(id as usize);
         let Some(normal) = turned(&element, Some(up)) else { return Ok(OpenSquares::default()) };
         let mut squares = OpenSquares { normal, up, open: Vec::new() };
-        for (square, direction) in squares_of_sky().zip(cosine_directions(normal)) {
+        let middle = |k: usize| (k as f64 + 0.5) / SKY as f64;
+        for square in squares_of_sky() {
+            let direction = cosine_direction(normal, square.map(middle));
             let far = add(element.position, scale(direction, FAR * self.extent));
             if dot(direction, up) > 0.0 && self.is_open(id, far)? {
                 squares.open.push(square);
@@ -224,7 +234,7 @@ impl<'a> Air<'a> {
     /// Adds what an element gets from a lamp.
     fn add(&self, lamp: &Lamp, id: u32, tests: bool, row: &mut Row) -> Result<(), LightError> {
         let element = self.elements.get(id as usize);
-        let (cosine, color) = self.unblocked(lamp, &element);
+        let (cosine, color) = self.unblocked(lamp, id, &element)?;
         if cosine <= 0.0 {
             return Ok(());
         }
@@ -237,27 +247,26 @@ impl<'a> Air<'a> {
 
     /// Gives what an element would get from a lamp if nothing were in between: a factor, and the
     /// lamp's colour that it multiplies.
-    fn unblocked(&self, lamp: &Lamp, element: &Element) -> (f64, [f64; 3]) {
-        let from = |place: [f64; 3]| sub(sub(place, self.origin), element.position);
-        // No more arrives than what goes into half of all directions.
-        let bounded = |to: [f64; 3]| {
-            let r2 = dot(to, to);
-            let cosine = cosine(element, to);
-            if r2 > 0.0 { (cosine / r2).min(TAU / element.area) } else { 0.0 }
-        };
-        match *lamp {
-            Lamp::Point { position, intensity } => (bounded(from(position)), intensity),
+    fn unblocked(
+        &self,
+        lamp: &Lamp,
+        id: u32,
+        element: &Element,
+    ) -> Result<(f64, [f64; 3]), LightError> {
+        Ok(match *lamp {
+            Lamp::Point { position, intensity } => {
+                (self.of_point(position, None, id, element)?, intensity)
+            }
             Lamp::Spot { position, direction, cos_cone, intensity } => {
-                let to = from(position);
-                let is_within = -dot(to, direction) >= cos_cone * norm(to);
-                (if is_within { bounded(to) } else { 0.0 }, intensity)
+                let cone = Cone { axis: direction, angle: cos_cone.acos() };
+                (self.of_point(position, Some(cone), id, element)?, intensity)
             }
             Lamp::Area { corner, sides: [u, v], exitance } => {
-                let corner = from(corner);
+                let corner = sub(sub(corner, self.origin), element.position);
                 let front = cross(u, v);
                 // It does not shine backwards.
                 if dot(corner, front) >= 0.0 {
-                    return (0.0, exitance);
+                    return Ok((0.0, exitance));
                 }
                 let corners = [corner, add(corner, u), add(add(corner, u), v), add(corner, v)];
                 let of_side = |normal| irradiance_of_polygon(&corners, normal);
@@ -267,7 +276,50 @@ impl<'a> Air<'a> {
                 (ahead.max(behind), exitance)
             }
             Lamp::Sun { direction, irradiance } => (cosine(element, direction), irradiance),
+        })
+    }
+
+    /// Gives what an element gets on average from a place of intensity 1, in all directions or in a
+    /// cone: the solid angle of its outline over the outline's area. So elements that cover what is
+    /// around get what is sent out, whether the place is next to one or a cone narrower than it.
+    fn of_point(
+        &self,
+        place: [f64; 3],
+        cone: Option<Cone>,
+        id: u32,
+        element: &Element,
+    ) -> Result<f64, LightError> {
+        let to = sub(sub(place, self.origin), element.position);
+        if cosine(element, to) <= 0.0 {
+            return Ok(0.0);
         }
+        let step = self.map.view().frame().frame.unit();
+        let outline = self.outline(id)?;
+        let area = outline.area() * step * step;
+        let from_lamp = |corner: [f64; 3]| sub(scale(corner, step), add(element.position, to));
+        let angles = outline.triangles().map(|corners| {
+            let triangle = corners.map(from_lamp);
+            cone.map_or_else(|| solid_angle(triangle), |cone| solid_angle_within(triangle, &cone))
+        });
+        if area > 0.0 {
+            return Ok(angles.sum::<f64>() / area);
+        }
+        // A lone point on a face of its cell, seen edge-on. No more arrives than what goes into
+        // half of all directions.
+        let is_within = cone.is_none_or(|cone| -dot(to, cone.axis) >= cone.angle.cos() * norm(to));
+        let bounded = (cosine(element, to) / dot(to, to)).min(TAU / element.area);
+        Ok(if is_within { bounded } else { 0.0 })
+    }
+
+    /// Gives where an element lies on its plane, in grid steps: all of its cell, as cells leave no
+    /// gaps; or where its points are and half a spacing around, if that is much less.
+    fn outline(&self, id: u32) -> Result<Section, LightError> {
+        let surfel = self.map.view().surfel(id)?;
+        let (centroid, normal) = (surfel.centroid.map(f64::from), surfel.normal.map(f64::from));
+        let cell = surfel.cell();
+        let [all, own] =
+            [cell, cell.meet(&surfel.patch)].map(|limit| Section::new(centroid, normal, &limit));
+        Ok(if own.area() >= MIN_COVERED * all.area() { all } else { own })
     }
 
     /// Gives the share of a lamp's light that reaches an element.
@@ -350,11 +402,21 @@ fn turned(element: &Element, up: Option<[f64; 3]>) -> Option<[f64; 3]> {
 }
 
 /// Gives directions around a normal, each for the same share of what a face gets from all around:
-/// the middles of the squares of a lattice, mapped to the disc under the half sphere by equal
-/// areas.
-pub(crate) fn cosine_directions(normal: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
-    let middle = |k: usize| (k as f64 + 0.5) / SKY as f64;
-    squares_of_sky().map(move |at| cosine_direction(normal, at.map(middle)))
+/// a spiral of places on the disc under the half sphere, each with the same area.
+///
+/// Another element, `id`, has it turned and its places moved along it. Where all had the same
+/// directions, an edge in the sky would show as steps all over a plane, an eight-armed star around
+/// a tower; as it is, it is noise, and that of neighbours cancels.
+pub(crate) fn cosine_directions(normal: [f64; 3], id: u32) -> impl Iterator<Item = [f64; 3]> {
+    let [tangent, other] = beside(normal);
+    let [turn, start] = PLASTIC.map(|step| (f64::from(id) * step).fract());
+    (0..N_DIRECTIONS).map(move |k| {
+        let radius = ((k as f64 + start) / N_DIRECTIONS as f64).sqrt();
+        let (sin, cos) = (TAU * turn + GOLDEN * k as f64).sin_cos();
+        let height = (1.0 - radius * radius).sqrt();
+        let along = add(scale(tangent, radius * cos), scale(other, radius * sin));
+        add(along, scale(normal, height))
+    })
 }
 
 fn squares_of_sky() -> impl Iterator<Item = [usize; 2]> {

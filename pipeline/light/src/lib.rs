@@ -37,6 +37,7 @@ mod plan;
 mod planner;
 mod polygon;
 mod precision;
+mod section;
 mod solve;
 mod specular;
 mod sum;

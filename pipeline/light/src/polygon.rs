@@ -1,8 +1,63 @@
-//! What a shining polygon sends to a place.
+//! What a shining polygon sends to a place, and what a place sends to a triangle.
 
 use std::f64::consts::TAU;
 
 use crate::vector::{add, cross, dot, norm, scale, sub};
+
+/// The directions within an angle of an axis.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cone {
+    /// Of length 1.
+    pub(crate) axis: [f64; 3],
+    /// 0…π.
+    pub(crate) angle: f64,
+}
+
+/// Triangles that a cone's edge cuts are halved until they are so many times smaller than it.
+const FINENESS: f64 = 64.0;
+/// They are halved so often at the most, where a cone of no angle falls on them or where they are
+/// next to its tip.
+const MAX_HALVINGS: u32 = 12;
+
+/// Gives the solid angle under which the origin sees a triangle, 0…2π: exactly the share of what a
+/// point light sends out that arrives there, however near it is.
+///
+/// Source: Van Oosterom and Strackee 1983.
+pub(crate) fn solid_angle([a, b, c]: [[f64; 3]; 3]) -> f64 {
+    let [of_a, of_b, of_c] = [a, b, c].map(norm);
+    let volume = dot(a, cross(b, c)).abs();
+    let around = of_a * of_b * of_c + dot(a, b) * of_c + dot(a, c) * of_b + dot(b, c) * of_a;
+    if volume > 0.0 { 2.0 * volume.atan2(around) } else { 0.0 }
+}
+
+/// Gives the solid angle of what lies in a cone of a triangle, its tip the origin. Of the smallest
+/// triangles that the cone's edge cuts their middle decides.
+pub(crate) fn solid_angle_within(triangle: [[f64; 3]; 3], cone: &Cone) -> f64 {
+    within(triangle, cone, MAX_HALVINGS)
+}
+
+fn within([a, b, c]: [[f64; 3]; 3], cone: &Cone, n_halvings: u32) -> f64 {
+    let middle = scale(add(a, add(b, c)), 1.0 / 3.0);
+    let radius = [a, b, c].map(|p| norm(sub(p, middle))).into_iter().fold(0.0, f64::max);
+    let away = norm(middle);
+    let off = norm(cross(middle, cone.axis)).atan2(dot(middle, cone.axis));
+    // Half the angle of a ball around it.
+    let half = if radius < away { (radius / away).asin() } else { TAU };
+    if off - half >= cone.angle {
+        return 0.0;
+    }
+    let is_small = half * FINENESS <= cone.angle || n_halvings == 0;
+    if off + half <= cone.angle || is_small && off <= cone.angle {
+        return solid_angle([a, b, c]);
+    }
+    if is_small {
+        return 0.0;
+    }
+    let between = |p: [f64; 3], q: [f64; 3]| scale(add(p, q), 0.5);
+    let (ab, bc, ca) = (between(a, b), between(b, c), between(c, a));
+    let quarters = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]];
+    quarters.into_iter().map(|quarter| within(quarter, cone, n_halvings - 1)).sum()
+}
 
 /// Gives the irradiance of a face of this normal at the origin under a planar convex polygon of
 /// exitance 1, clipped by the face's horizon; 0 or more.
@@ -40,6 +95,45 @@ mod tests {
     fn square(height: f64, [x, y]: [f64; 2]) -> [[f64; 3]; 4] {
         let corner = |a: f64, b: f64| [x + a, y + b, height];
         [corner(0.0, 0.0), corner(1.0, 0.0), corner(1.0, 1.0), corner(0.0, 1.0)]
+    }
+
+    /// The two halves of a square of side 2 s at a height, around the axis.
+    fn halves(height: f64, s: f64) -> [[[f64; 3]; 3]; 2] {
+        let [a, b, c, d] = [[-s, -s], [s, -s], [s, s], [-s, s]].map(|[x, y]| [x, y, height]);
+        [[a, b, c], [a, c, d]]
+    }
+
+    #[test]
+    fn six_faces_of_a_cube_are_all_around_and_a_near_one_is_half_of_it() {
+        let face: f64 = halves(0.5, 0.5).into_iter().map(solid_angle).sum();
+        assert!((6.0 * face - 2.0 * TAU).abs() < 1e-12, "{face}");
+        let near: f64 = halves(1e-9, 1.0).into_iter().map(solid_angle).sum();
+        assert!((near - TAU).abs() < 1e-8, "{near}");
+        let far: f64 = halves(1e6, 0.5).into_iter().map(solid_angle).sum();
+        assert!((far * 1e12 - 1.0).abs() < 1e-9, "{far}");
+    }
+
+    #[test]
+    fn a_cone_has_all_of_its_directions_on_a_plane_that_it_meets() {
+        let slanted = [0.6, 0.0, 0.8];
+        for (degrees, axis) in
+            [(0.5, [0.0, 0.0, 1.0]), (2.0, slanted), (20.0, slanted), (60.0, [0.0, 0.0, 1.0])]
+        {
+            let cone = Cone { axis, angle: f64::to_radians(degrees) };
+            let expected = TAU * (1.0 - cone.angle.cos());
+            let found: f64 =
+                halves(1.0, 4.0).into_iter().map(|half| solid_angle_within(half, &cone)).sum();
+            assert!((found / expected - 1.0).abs() < 3e-3, "{degrees}: {found}, not {expected}");
+        }
+        let away = Cone { axis: [0.0, 0.0, -1.0], angle: 1.0 };
+        assert_eq!(solid_angle_within(halves(1.0, 4.0)[0], &away), 0.0);
+        // All but a cone: what is around its axis is left out.
+        let wide = Cone { axis: [0.0, 0.0, -1.0], angle: 2.5 };
+        let around: f64 =
+            halves(1.0, 4.0).into_iter().map(|half| solid_angle_within(half, &wide)).sum();
+        let all: f64 = halves(1.0, 4.0).into_iter().map(solid_angle).sum();
+        let left_out = TAU * (1.0 + wide.angle.cos());
+        assert!(((all - around) / left_out - 1.0).abs() < 3e-3, "{around} of {all}");
     }
 
     #[test]

@@ -70,7 +70,7 @@ impl Lighting<'_> {
         let from = element.position;
         let far = FAR * air.extent();
         let (mut n_open, mut n) = (0, 0);
-        for direction in cosine_directions(element.normal) {
+        for direction in cosine_directions(element.normal, id) {
             n += 1;
             if !air.is_open(id, add(from, scale(direction, far)))? {
                 continue;
