@@ -100,6 +100,7 @@ fn run(
     let bytes = Mapped::open(&request.map)?;
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&request.map, e))?.solid();
     let fail = |e| of_light(&request.map, e);
+    watch.stage("areas", None, "surfels");
     let elements = Elements::of_map(map.view()).map_err(fail)?;
     let scaling = request.scale_of.as_deref().map(|path| scaling_of(path, request, map.view()));
     let scaling = scaling.transpose()?;

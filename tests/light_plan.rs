@@ -139,9 +139,10 @@ fn the_plan_is_told_before_anything_is_lit() {
     };
     let report = light_map_telling(&request, &LIMITS, &tell, &heard).unwrap();
     assert!(report.done.is_some());
-    assert_eq!(before.into_inner().unwrap().unwrap(), ["plan"]);
+    assert_eq!(before.into_inner().unwrap().unwrap(), ["areas", "plan"]);
     let after = heard.0.into_inner().unwrap();
-    assert!(after.starts_with(&["plan", "lamps", "sky"]) && after.contains(&"solve"), "{after:?}");
+    let lit = after.starts_with(&["areas", "plan", "lamps", "sky"]) && after.contains(&"solve");
+    assert!(lit, "{after:?}");
 }
 
 /// A ground of some 1000 surfels, and over a place of it a small plate.

@@ -52,11 +52,13 @@ const MIN_POINTS: u64 = 32;
 /// # Errors
 /// Where the map is damaged.
 pub fn areas_grid2(map: &MapView<'_>) -> Result<Vec<f64>, FormatError> {
-    let nodes: Vec<Node> = (0..map.n_nodes()).map(|id| map.node(id)).collect::<Result<_, _>>()?;
-    let n_surfels = map.summary().n_surfels;
-    let surfels: Vec<Surfel> = (0..n_surfels).map(|id| map.surfel(id)).collect::<Result<_, _>>()?;
+    let nodes = (0..map.n_nodes()).into_par_iter().map(|id| map.node(id));
+    let nodes = nodes.collect::<Result<Vec<Node>, _>>()?;
+    let surfels = (0..map.summary().n_surfels).into_par_iter().map(|id| map.surfel(id));
+    let surfels = surfels.collect::<Result<Vec<Surfel>, _>>()?;
     let pieces: Vec<Piece> = surfels.par_iter().map(Piece::new).collect();
-    let tree = Tree { nodes: &nodes, surfels: &surfels, pieces: &pieces };
+    let reaches: Vec<Box3> = nodes.par_iter().map(Node::reach).collect();
+    let tree = Tree { nodes: &nodes, surfels: &surfels, pieces: &pieces, reaches: &reaches };
     let ids = || (0..surfels.len()).into_par_iter();
     let known: Vec<Option<f64>> = ids().map(|id| tree.known_area(id)).collect();
     let n_known = tree.n_known(&known);
@@ -156,6 +158,8 @@ struct Tree<'a> {
     nodes: &'a [Node],
     surfels: &'a [Surfel],
     pieces: &'a [Piece],
+    /// The box that holds what is under each node.
+    reaches: &'a [Box3],
 }
 
 impl Tree<'_> {
@@ -281,18 +285,19 @@ impl Tree<'_> {
 
     /// Lists the leaves under wanted nodes whose points, and half a spacing around, reach a box.
     fn near(&self, limit: &Box3, is_wanted: impl Fn(u32) -> bool) -> Vec<usize> {
-        let (mut found, mut open) = (Vec::new(), vec![0]);
-        while let Some((id, node)) = open.pop().and_then(|id| Some((id, self.node(id)?))) {
-            if node.reach().meet(limit).is_empty() || !is_wanted(id) {
+        let (mut found, mut id) = (Vec::with_capacity(64), 0);
+        while let (Some(node), Some(reach)) = (self.node(id), self.reaches.get(id as usize)) {
+            if are_apart(reach, limit) || !is_wanted(id) {
+                // In a damaged map it may end before it begins.
+                id = node.end.max(id + 1);
                 continue;
             }
             let surfel = node.first_surfel as usize;
-            let reaches = |piece: &Piece| !piece.patch.meet(limit).is_empty();
-            match node.is_leaf() {
-                false => open.extend(self.children(id)),
-                true if self.pieces.get(surfel).is_some_and(reaches) => found.push(surfel),
-                true => {}
+            let reaches = |piece: &Piece| !are_apart(&piece.patch, limit);
+            if node.is_leaf() && self.pieces.get(surfel).is_some_and(reaches) {
+                found.push(surfel);
             }
+            id += 1;
         }
         found
     }
@@ -332,6 +337,11 @@ impl Tree<'_> {
         let after = move |&child: &u32| Some(self.node(child)?.end).filter(is_nested);
         std::iter::successors(Some(id + 1).filter(is_nested), after)
     }
+}
+
+/// Says whether two closed boxes have no place in common.
+fn are_apart(a: &Box3, b: &Box3) -> bool {
+    (0..3).any(|i| a.max[i] < b.min[i] || b.max[i] < a.min[i])
 }
 
 /// Says whether a closed box holds a place.

@@ -1,6 +1,7 @@
 //! What light sees of a surface: elements with a place, a normal and an area.
 
 use pvmap_vmap::MapView;
+use rayon::prelude::*;
 
 use crate::area::areas_grid2;
 use crate::error::LightError;
@@ -76,18 +77,21 @@ impl Elements {
     /// Where the map is damaged.
     pub fn of_map(map: &MapView<'_>) -> Result<Elements, LightError> {
         let step = map.frame().frame.unit();
-        let mut all = Elements::default();
-        for (id, area) in (0..).zip(areas_grid2(map)?) {
+        let areas = areas_grid2(map)?;
+        let element = |id: u32| {
             let surfel = map.surfel(id)?;
             let normal = surfel.normal.map(f64::from);
             let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
             let unit = |v: f64| if length > 0.0 { v / length } else { 0.0 };
             let position = surfel.centroid.map(|v| f64::from(v) * step);
             // A scan of one place has no extent; any area will do for what sees nothing.
-            let area = area * if step > 0.0 { step * step } else { 1.0 };
+            let area = areas[id as usize] * if step > 0.0 { step * step } else { 1.0 };
             let two_sided = surfel.two_sided;
-            all.push(Element { position, normal: normal.map(unit), area, two_sided });
-        }
+            Ok::<_, LightError>(Element { position, normal: normal.map(unit), area, two_sided })
+        };
+        let elements = (0..map.summary().n_surfels).into_par_iter().map(element);
+        let mut all = Elements::default();
+        elements.collect::<Result<Vec<_>, _>>()?.into_iter().for_each(|one| all.push(one));
         Ok(all)
     }
 

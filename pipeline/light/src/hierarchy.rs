@@ -3,6 +3,7 @@
 use pvmap_vmap::records::NO_PARENT;
 use pvmap_vmap::tree::Nodes;
 use pvmap_vmap::{Fraction, MapView};
+use rayon::prelude::*;
 
 use crate::error::LightError;
 
@@ -58,7 +59,8 @@ impl Hierarchy {
             let elements = (node.first_surfel, node.end_surfel);
             Ok::<_, LightError>(Subtree { parent: node.parent, end: node.end, elements })
         };
-        Hierarchy::new((0..map.n_nodes()).map(subtree).collect::<Result<_, _>>()?)
+        let nodes = (0..map.n_nodes()).into_par_iter().map(subtree);
+        Hierarchy::new(nodes.collect::<Result<_, _>>()?)
     }
 
     fn check(&self, id: u32) -> Result<(), LightError> {

@@ -143,6 +143,8 @@ pub(crate) struct Solved<'s> {
     pub(crate) channels: &'s [Channel],
 }
 
+/// The part of what an exchange may be off by that is for its rows.
+const ROW_SHARE: f64 = 0.5;
 /// Rows are scaled at the most so often; in a closed box five leave 1e-3.
 const MAX_SCALINGS: usize = 20;
 
@@ -365,7 +367,10 @@ impl<'a> Lighting<'a> {
                 let some = self.some(N_COMPARED);
                 Balanced::again(exchange, scene, scaling, (&some, tolerance))?
             }
-            None => Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?,
+            None => {
+                let wanted = (ROW_SHARE * tolerance, MAX_SCALINGS);
+                Balanced::on_average(exchange, scene, wanted, watch)?
+            }
         };
         lit.scale = balanced.scale().to_vec();
         lit.row_error = balanced.row_error();

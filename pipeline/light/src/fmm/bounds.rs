@@ -1,5 +1,7 @@
 //! What is known of all elements of a node: where they lie, how large they are, where they face.
 
+use rayon::prelude::*;
+
 use crate::element::Elements;
 use crate::hierarchy::Hierarchy;
 
@@ -36,16 +38,15 @@ impl Bounds {
 
     /// Finds those of every node.
     pub(crate) fn of_all(elements: &Elements, hierarchy: &Hierarchy) -> Vec<Bounds> {
-        let mut all = vec![Bounds::NONE; hierarchy.n_nodes() as usize];
+        let leaf = |id| match hierarchy.is_leaf(id) {
+            true => Bounds::of(elements, hierarchy.node(id).elements.0 as usize),
+            false => Bounds::NONE,
+        };
+        let mut all: Vec<Bounds> = (0..hierarchy.n_nodes()).into_par_iter().map(leaf).collect();
         // Backwards in preorder children come before their parent.
-        for id in (0..hierarchy.n_nodes()).rev() {
-            let bounds = if hierarchy.is_leaf(id) {
-                Bounds::of(elements, hierarchy.node(id).elements.0 as usize)
-            } else {
-                let join = |sum: Bounds, child| sum.join(&all[child as usize]);
-                hierarchy.children(id).fold(Bounds::NONE, join)
-            };
-            all[id as usize] = bounds;
+        for id in (0..hierarchy.n_nodes()).rev().filter(|&id| !hierarchy.is_leaf(id)) {
+            let join = |sum: Bounds, child| sum.join(&all[child as usize]);
+            all[id as usize] = hierarchy.children(id).fold(Bounds::NONE, join);
         }
         all
     }
