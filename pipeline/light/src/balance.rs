@@ -1,5 +1,7 @@
 //! Scaling an exchange so that every element gets the light there is, and no more.
 
+use std::cell::Cell;
+
 use pvmap_store::{Quiet, Watch};
 use rayon::prelude::*;
 
@@ -13,6 +15,8 @@ use crate::sum::sum;
 /// thin limbs, which see little more than the inside, what they see would be made into all.
 const MAX_SCALE: f64 = 2.0;
 
+/// Scaling ends where a round leaves more than this of what rows are off by on average.
+const STALLED: f64 = 0.9;
 /// How many times their mean rows of some elements may be off.
 const SAMPLE_DOUBT: f64 = 4.0;
 
@@ -70,9 +74,9 @@ impl<'a> Balanced<'a> {
         Balanced::until(exchange, scene, (max_iterations, f64::INFINITY), &Quiet, &is_enough)
     }
 
-    /// Scales until rows are off by no more than `tolerance` of all area on average, or
-    /// `max_iterations` times, and then down what is still too large: some rows of narrow corners
-    /// take hundreds of rounds, and light must not grow there meanwhile.
+    /// Scales until rows are off by no more than `tolerance` of all area on average, while that
+    /// helps and at most `max_iterations` times, and then down what is still too large: some rows
+    /// of narrow corners take hundreds of rounds, and light must not grow there meanwhile.
     pub(crate) fn on_average(
         exchange: &'a Exchange,
         scene: Scene,
@@ -80,7 +84,11 @@ impl<'a> Balanced<'a> {
         watch: &dyn Watch,
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();
-        let is_enough = |rows: &[f64]| mean_error(scene, areas, rows) <= tolerance;
+        let last = Cell::new(f64::INFINITY);
+        let is_enough = |rows: &[f64]| {
+            let off = mean_error(scene, areas, rows);
+            off <= tolerance || off > STALLED * last.replace(off)
+        };
         let mut balanced =
             Balanced::until(exchange, scene, (max_iterations, MAX_SCALE), watch, &is_enough)?;
         for (d, (sum, area)) in balanced.scale.iter_mut().zip(balanced.row_sums.iter().zip(areas)) {
