@@ -90,6 +90,15 @@ fn n75_a_furnace_of_albedo_one_half_is_twice_as_bright_as_it_shines() {
     }
 }
 
+#[test]
+fn n77_a_closed_room_that_absorbs_nothing_has_no_light() {
+    let bench = built(&scene_cloud(SceneKind::Empty, 20_000), "");
+    for options in ["", "--direct"] {
+        run(&bench, &furnace(1.0), options).fails(65, &["room.vmap", "no finite solution"]);
+    }
+    run(&bench, &furnace(1.0), "--no bounces").ok();
+}
+
 /// n random points of a closed box, their normals inward.
 fn random_box(n: usize) -> Cloud {
     let mut rng = fastrand::Rng::with_seed(3);

@@ -287,6 +287,11 @@ impl<'a> Lighting<'a> {
             (&shining[..], if has_bounces { &given.albedo[..] } else { &nothing[..] })
         });
         let given: Vec<_> = given.collect();
+        let absorbs = |albedo: &[f64]| albedo.iter().any(|&rho| rho < 1.0);
+        if scene.plan.let_out() == Some(0.0) && !given.iter().all(|given| absorbs(given.1)) {
+            // Rows that scaling left a little short are no way out.
+            return Err(LightError::NoFiniteSolution { reflected: 1.0 });
+        }
         // Below an albedo of 1 it does not matter by how much a row is less than its area.
         let needs_rows = scene.channels.iter().any(|given| given.albedo.contains(&1.0));
         let operator = Watched { balanced, watch, needs_rows, n_applications: Cell::new(0) };
