@@ -156,8 +156,10 @@ fn pairs_without_truth_are_judged_by_the_points() {
 #[test]
 fn a_reference_is_not_called_truth() {
     let bench = packed();
-    let line = "tradeoff p.octree --pairs 1k --max-level 3 --csv t.csv --svg t.svg";
+    let line = "tradeoff ./p.octree --pairs 1k --max-level 3 --csv t.csv --svg t.svg";
     let run = bench.line(line).ok();
+    let drawn = String::from_utf8(bench.read("t.svg")).unwrap();
+    assert!(drawn.contains(">p.octree: what accuracy costs<"), "a path in the title: {drawn}");
     let answer = json(&bench.line("tradeoff p.ply --pairs 1k --max-level 3 --json").ok());
     assert_eq!(answer["judge"], "reference");
     for told in [run.stdout, String::from_utf8(bench.read("t.svg")).unwrap()] {

@@ -1,6 +1,7 @@
 //! Error against seconds, as SVG: a mark a setting, with its interval, its name and the front.
 
 use std::fmt::Write;
+use std::path::Path;
 
 use super::pareto::{Wish, choose, front};
 use super::table::recommendation;
@@ -27,7 +28,10 @@ stroke-dasharray: 2 3; fill: none } .wish { stroke: #b00; stroke-width: 1; strok
 
 /// Draws the rows. What was not built is told below; of an error of 0 the mark lies on the axis.
 pub fn draw(rows: &[Row], subject: &Subject, wish: Option<Wish>) -> String {
-    let title = format!("{}: what accuracy costs", escaped(&subject.name));
+    // Where the scan lies is nothing to a reader of the drawing.
+    let scan = Path::new(&subject.name).file_name().map(|name| name.to_string_lossy());
+    let scan = scan.as_deref().unwrap_or(&subject.name);
+    let title = format!("{}: what accuracy costs", escaped(scan));
     let subtitle = format!(
         "{} points; wrong of {} pairs that face each other, with 95 % intervals; {}",
         subject.n_points,
