@@ -9,8 +9,9 @@
 //! [`Irradiance`] gives places between elements theirs. What mirrors or lets light through throws
 //! it by photons, and [`Glimpses`] follows rays of an eye through it.
 //!
-//! The room opens no file, prints nothing and never asks whether two elements see each other: a
-//! pair without a link exchanges nothing. Results have the same bits for any number of threads.
+//! The room prints nothing, opens no file but nameless ones for lists that do not fit the memory,
+//! and never asks whether two elements see each other: a pair without a link exchanges nothing.
+//! Results have the same bits for any number of threads.
 //!
 //! Start reading at [`Elements::of_map`], then [`Exchange`] and [`solve`].
 
