@@ -7,7 +7,7 @@ use pvmap_store::output::{is_stdout, require_own};
 use pvmap_store::sections::Section;
 use pvmap_store::{AtomicFile, SectionFile, Watch};
 use pvmap_vmap::container::{Written, head_bytes};
-use pvmap_vmap::light::{Found, Given, Gloss, Scale, SkyShare, close_light, section_names};
+use pvmap_vmap::light::{Factors, Found, Given, Gloss, SkyShare, close_light, section_names};
 use pvmap_vmap::records::Record;
 use pvmap_vmap::{Kind, LightSummary};
 
@@ -39,8 +39,8 @@ pub struct LightContent<'a> {
     pub gloss: Option<&'a [Gloss]>,
     /// The share of open sky above each surfel, 0…1, where it was computed. [F-29]
     pub sky: Option<&'a [f64]>,
-    /// What the exchange of each surfel was scaled with, above 0. [F-30]
-    pub scale: &'a [f64],
+    /// The area of each surfel and what its exchange was scaled with, above 0. [F-30]
+    pub factors: &'a [Factors],
 }
 
 /// Writes a light file and gives its length in bytes. Stored are binary32 numbers; the radiosity
@@ -54,7 +54,7 @@ pub struct LightContent<'a> {
 /// asks to stop.
 ///
 /// # Panics
-/// Where there are not as many values in every channel as in `scale`.
+/// Where there are not as many values in every channel as in `factors`.
 pub fn write_light(
     output: &Path,
     content: &LightContent<'_>,
@@ -62,8 +62,8 @@ pub fn write_light(
 ) -> Result<u64, Error> {
     content.require_equal_counts();
     require_free(output)?;
-    let LightContent { channels, gloss, sky, scale, .. } = *content;
-    let (n, n_channels) = (scale.len(), channels.len());
+    let LightContent { channels, gloss, sky, factors, .. } = *content;
+    let (n, n_channels) = (factors.len(), channels.len());
     let names = section_names(gloss.is_some(), sky.is_some());
     let file = SectionFile::create(output, head_bytes(names.len()))?;
     watch.stage("write", Some((n * names[N_TEXTS..].len()) as u64), "rows");
@@ -81,7 +81,7 @@ pub fn write_light(
     if let Some(sky) = sky {
         writing.rows(1, "open sky", |i, _| SkyShare(sky[i] as f32))?;
     }
-    writing.rows(1, "scale", |i, _| Scale(scale[i]))?;
+    writing.rows(1, "factors", |i, _| factors[i])?;
     writing.close(&names)
 }
 
@@ -111,7 +111,7 @@ const ROWS_AT_ONCE: usize = 1 << 14;
 
 impl LightContent<'_> {
     fn require_equal_counts(&self) {
-        let n = self.scale.len();
+        let n = self.factors.len();
         let of_channels = self.channels.iter().flat_map(|c| [c.emission, c.albedo, c.irradiance]);
         let all_equal = of_channels.chain(self.sky).all(|values| values.len() == n);
         let all_equal = all_equal && self.gloss.is_none_or(|gloss| gloss.len() == n);

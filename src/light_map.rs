@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 
 use pvmap_light::{
     Elements, Gloss, Lamp, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work,
+    areas_grid2,
 };
 use pvmap_query::Map;
 use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch};
+use pvmap_vmap::light::Factors;
 use pvmap_vmap::{LightSummary, LightView, MapView};
 
 use crate::build::open_octree;
@@ -101,9 +103,14 @@ fn run(
     let map = Map::open(&bytes).map_err(|e| Error::of_query(&request.map, e))?.solid();
     let fail = |e| of_light(&request.map, e);
     watch.stage("areas", None, "surfels");
-    let elements = Elements::of_map(map.view()).map_err(fail)?;
-    let scaling = request.scale_of.as_deref().map(|path| scaling_of(path, request, map.view()));
-    let scaling = scaling.transpose()?;
+    let (areas, scaling) = match &request.scale_of {
+        Some(path) => {
+            let (areas, scaling) = factors_of(path, request, map.view())?;
+            (areas, Some(scaling))
+        }
+        None => (areas_grid2(map.view()).map_err(|e| fail(e.into()))?, None),
+    };
+    let elements = Elements::with_areas(map.view(), &areas).map_err(fail)?;
     let n_without_normal = elements.n_without_normal();
     let classes = classes_of(request, &lights, map.view(), watch)?;
     let Assigned { materials, lamps, sky, notes } =
@@ -131,7 +138,7 @@ fn run(
     if let Some(output) = &request.output {
         let lit = scene.run(&planned, scaling, watch).map_err(fail)?;
         let text = (lights.to_text(), planned.plan.to_string());
-        let made = (&lit, &gloss[..]);
+        let made = (&lit, &gloss[..], &areas[..]);
         report.notes_after.extend(note_of_flux(&given, lit.from_lamps));
         report.done = Some(write(output, &text, (request, map.view(), &lights), made, watch)?);
     }
@@ -153,14 +160,20 @@ fn classes_of(
     majority_classes(map, &request.map, &bytes, path, watch).map(Some)
 }
 
-/// Reads the scaling of a light file of the same map.
-fn scaling_of(path: &Path, request: &LightRequest, map: &MapView<'_>) -> Result<Scaling, Error> {
+/// Reads the areas and the scaling of a light file of the same map.
+fn factors_of(
+    path: &Path,
+    request: &LightRequest,
+    map: &MapView<'_>,
+) -> Result<(Vec<f64>, Scaling), Error> {
     let bytes = Mapped::open(path)?;
     let damaged = |e| Error::artifact(path, e);
     let view = LightView::open(&bytes).map_err(damaged)?;
     require_light((path, &view), (&request.map, map))?;
-    let rows = (0..view.summary().n_surfels).map(|id| view.scale(id).map_err(damaged));
-    Ok(Scaling { scale: rows.collect::<Result<_, _>>()?, row_error: view.summary().row_error })
+    let row = |id| view.factors(id).map(|factors| (factors.area, factors.scale));
+    let rows = (0..view.summary().n_surfels).map(row).collect::<Result<_, _>>();
+    let (areas, scale): (Vec<f64>, Vec<f64>) = rows.map_err(damaged)?;
+    Ok((areas, Scaling { scale, row_error: view.summary().row_error }))
 }
 
 /// The share of the flux of lamps that may go elsewhere, or come from nowhere, untold.
@@ -198,7 +211,7 @@ fn write(
     output: &Path,
     (lights_text, plan_text): &(String, String),
     (request, map, lights): (&LightRequest, &MapView<'_>, &Lights),
-    (lit, gloss): (&Lit, &[Gloss]),
+    (lit, gloss, areas): (&Lit, &[Gloss], &[f64]),
     watch: &dyn Watch,
 ) -> Result<LightDone, Error> {
     let mut summary = LightSummary {
@@ -228,6 +241,8 @@ fn write(
     };
     let channels: Vec<LightChannel<'_>> = (0..lit.channels.len()).map(channel).collect();
     let sky: Vec<f64> = lit.open_sky.iter().map(|&share| f64::from(share)).collect();
+    let factor = |(&area, &scale): (&f64, &f64)| Factors { area, scale };
+    let factors: Vec<Factors> = areas.iter().zip(&lit.scale).map(factor).collect();
     let content = LightContent {
         summary,
         lights: lights_text,
@@ -235,7 +250,7 @@ fn write(
         channels: &channels,
         gloss: (!gloss.is_empty()).then_some(gloss),
         sky: (!sky.is_empty()).then_some(&sky[..]),
-        scale: &lit.scale,
+        factors: &factors,
     };
     let output_bytes = write_light(output, &content, watch)?;
     Ok(LightDone { summary, work: lit.work, output_bytes })

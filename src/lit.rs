@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use pvmap_geometry::GridPoint;
-use pvmap_light::{Irradiance, LightError, areas_grid2};
+use pvmap_light::{Irradiance, LightError};
 use pvmap_vmap::{FormatError, LightView, MapView};
 
 use crate::Error;
@@ -39,6 +39,8 @@ struct LitSurfel {
     radiosity: [f32; 3],
     /// The mean of its points' colours, linear; zero where they have none.
     color: [f32; 3],
+    /// In square grid steps.
+    area: f64,
 }
 
 impl LitMap {
@@ -54,21 +56,23 @@ impl LitMap {
         let of_light = |e: FormatError| Error::artifact(light_path, e);
         let of_map = |e: FormatError| Error::artifact(map_path, e);
         let n = map.summary().n_surfels;
-        let (mut surfels, mut irradiance) =
-            (Vec::with_capacity(n as usize), Vec::with_capacity(n as usize));
+        let (mut surfels, mut areas, mut irradiance) = (Vec::new(), Vec::new(), Vec::new());
         for id in 0..n {
             let given = light.given(id).map_err(of_light)?;
             let found = light.found(id).map_err(of_light)?;
             let color = map.surfel(id).map_err(of_map)?.color.unwrap_or_default();
+            let area = light.factors(id).map_err(of_light)?.area;
+            areas.push(area);
             irradiance.push(found.map(|f| f.irradiance));
             surfels.push(LitSurfel {
                 emission: given.map(|g| g.emission),
                 albedo: given.map(|g| g.albedo),
                 radiosity: found.map(|f| f.radiosity),
                 color: color.map(|v| f32::from(v) / 65535.0),
+                area,
             });
         }
-        let irradiance = Irradiance::new(map, &irradiance).map_err(|e| match e {
+        let irradiance = Irradiance::new(map, &areas, &irradiance).map_err(|e| match e {
             LightError::Format(e) => of_map(e),
             e => Error::Data(format!("{}: {e}", light_path.display())),
         })?;
@@ -79,6 +83,11 @@ impl LitMap {
     pub fn held_bytes(n_surfels: u32) -> u64 {
         // Beside each of them its place and normal, and up to eight cells that it reaches into.
         u64::from(n_surfels) * (size_of::<LitSurfel>() as u64 + 44 + 8 * 16)
+    }
+
+    /// Gives the area of each surfel in square grid steps.
+    pub fn areas(&self) -> Vec<f64> {
+        self.surfels.iter().map(|surfel| surfel.area).collect()
     }
 
     /// Says whether all light has one colour.
@@ -127,24 +136,21 @@ impl LitMap {
 
     /// Gives the number that radiosity is multiplied with, in four digits, so that it can be told
     /// and given again.
-    ///
-    /// # Errors
-    /// Where the map is damaged.
-    pub fn exposure(&self, exposure: Exposure, map: &MapView<'_>) -> Result<f64, FormatError> {
+    pub fn exposure(&self, exposure: Exposure) -> f64 {
         if let Exposure::Times(times) = exposure {
-            return Ok(times);
+            return times;
         }
-        let areas = areas_grid2(map)?;
         let brightest = |values: [f32; 3]| values.into_iter().fold(0.0, f32::max);
         let level = |emits: bool| {
-            let lit = self.surfels.iter().zip(&areas).filter(|(s, _)| {
-                (brightest(s.emission) > 0.0) == emits && brightest(s.radiosity) > 0.0
-            });
-            percentile(lit.map(|(s, &area)| (brightest(s.radiosity), area)).collect())
+            let lit = self
+                .surfels
+                .iter()
+                .filter(|s| (brightest(s.emission) > 0.0) == emits && brightest(s.radiosity) > 0.0);
+            percentile(lit.map(|s| (brightest(s.radiosity), s.area)).collect())
         };
         // Where lamps alone can be seen they are.
         let level = level(false).or_else(|| level(true));
-        Ok(level.map_or(1.0, |level| four_digits(AUTO_LEVEL / f64::from(level))))
+        level.map_or(1.0, |level| four_digits(AUTO_LEVEL / f64::from(level)))
     }
 }
 

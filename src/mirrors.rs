@@ -6,7 +6,7 @@ use std::path::Path;
 
 use pvmap_geometry::GridPoint;
 use pvmap_geometry::grid::GRID_MAX;
-use pvmap_light::{Effect, Glimpse, Glimpses, Gloss, LightError, Plan, SeenAt, Sky};
+use pvmap_light::{Effect, Elements, Glimpse, Glimpses, Gloss, LightError, Plan, SeenAt, Sky};
 use pvmap_query::Map;
 use pvmap_store::{StoreError, Watch};
 use pvmap_vmap::{FormatError, LightView};
@@ -96,8 +96,10 @@ impl<'a> Mirrors<'a> {
             return Ok(None);
         }
         let fail = |e| of_light(path, e);
+        let elements = Elements::with_areas(map.view(), &lit.areas()).map_err(fail)?;
+        let glimpses = Glimpses::new(map, elements, gloss).map_err(fail)?;
         let sky = Lights::parse(light.lights().map_err(damaged)?)?.sky();
-        Ok(Some(Mirrors { map, lit, glimpses: Glimpses::new(map, gloss).map_err(fail)?, sky }))
+        Ok(Some(Mirrors { map, lit, glimpses, sky }))
     }
 
     /// Says whether a surfel mirrors or lets light through.

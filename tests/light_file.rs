@@ -49,8 +49,8 @@ fn gloss(surfel: usize) -> Gloss {
 
 fn of_room(n_channels: usize) -> Invented {
     let mut light = ROOM.with_map("room.vmap", |map| Invented::of(map, n_channels, row));
-    light.gloss = Some((0..light.scale.len()).map(gloss).collect());
-    light.sky = Some(light.scale.iter().map(|d| d / 2.0).collect());
+    light.gloss = Some((0..light.factors.len()).map(gloss).collect());
+    light.sky = Some(light.factors.iter().map(|f| f.scale / 2.0).collect());
     light
 }
 
@@ -96,11 +96,11 @@ fn format27_what_is_written_is_read() {
                 assert!((f64::from(found[channel].radiosity) - b).abs() <= 1e-6 * b, "{surfel}");
             }
             assert_eq!(view.gloss(surfel).unwrap(), Some(gloss(surfel as usize)));
-            assert_eq!(view.scale(surfel).unwrap(), written.scale[surfel as usize]);
+            assert_eq!(view.factors(surfel).unwrap(), written.factors[surfel as usize]);
             let sky = view.sky(surfel).unwrap().unwrap();
-            assert_eq!(sky, (written.scale[surfel as usize] / 2.0) as f32);
+            assert_eq!(sky, (written.factors[surfel as usize].scale / 2.0) as f32);
         }
-        assert!(view.given(128).is_err() && view.scale(128).is_err(), "no such surfel");
+        assert!(view.given(128).is_err() && view.factors(128).is_err(), "no such surfel");
     }
     let without = Invented { gloss: None, sky: None, ..of_room(1) }.bytes();
     let view = LightView::open(&without).unwrap();
@@ -184,9 +184,14 @@ fn format28_values_that_no_surfel_has_are_refused() {
         }
     }
     for value in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
-        let file = forged(|parts| put(parts.bytes_mut("scale"), 8 * 3, value.to_bits(), 8));
-        refused(&file, "scale");
-        assert!(LightView::open(&file).unwrap().scale(3).is_err(), "a view gives no such value");
+        for at in [0, 8] {
+            let put_it = |parts: &mut Parts| {
+                put(parts.bytes_mut("factors"), 16 * 3 + at, value.to_bits(), 8)
+            };
+            let file = forged(put_it);
+            refused(&file, "factors");
+            assert!(LightView::open(&file).unwrap().factors(3).is_err(), "a view gives none");
+        }
     }
     // 1e-5 of the radiosity is left open; more is not.
     for (share, is_sound) in [(1.0 + 5e-6, true), (1.0 - 5e-6, true), (1.0001, false)] {
@@ -264,7 +269,7 @@ fn format27_a_summary_that_is_none_is_refused_on_opening() {
         let file = forged(|parts| put(parts.bytes_mut("summary"), at, value, n_bytes));
         assert!(LightView::open(&file).is_err(), "{value:#x} at {at}");
     }
-    for section in ["given", "gloss", "found", "sky", "scale"] {
+    for section in ["given", "gloss", "found", "sky", "factors"] {
         let file = forged(|parts| parts.bytes_mut(section).truncate(24 * 5));
         assert!(LightView::open(&file).is_err(), "too few rows of {section}");
     }
@@ -334,8 +339,8 @@ fn what_cannot_be_stored_is_named_and_nothing_is_left() {
     light.gloss.as_mut().unwrap()[7].refraction = 0.5;
     assert!(light.write(&path).unwrap_err().to_string().contains("gloss of surfel 7"));
     let mut light = of_room(1);
-    light.scale[9] = 0.0;
-    assert!(light.write(&path).unwrap_err().to_string().contains("scale of surfel 9"));
+    light.factors[9].scale = 0.0;
+    assert!(light.write(&path).unwrap_err().to_string().contains("factors of surfel 9"));
     assert!(bench.names().is_empty(), "{:?}", bench.names());
     bench.write("a.light", "my own notes");
     let error = of_room(1).write(&path).unwrap_err();

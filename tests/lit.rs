@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use cli_common::{Bench, Run, ply_header, room};
 use invented::{Invented, Row};
 use pvmap::geometry::PointBatch;
-use pvmap::light::{Gloss, Irradiance};
+use pvmap::light::{Gloss, Irradiance, LightError, areas_grid2};
 use pvmap::scan::{ReadOptions, Source};
 use pvmap::vmap::MapView;
 
@@ -25,6 +25,11 @@ fn light(bench: &Bench, name: &str, n_channels: usize, row: impl Fn(u32, usize) 
         Invented::of(map, n_channels, row).write(&bench.path(name)).unwrap();
         map.summary().n_surfels
     })
+}
+
+/// Takes the irradiance of all surfels of a map.
+fn lit_by(map: &MapView<'_>, irradiance: &[[f32; 3]]) -> Result<Irradiance, LightError> {
+    Irradiance::new(map, &areas_grid2(map).unwrap(), irradiance)
 }
 
 /// Gives the places of all surfels of a map with their normals, and asks for light there.
@@ -67,7 +72,7 @@ fn light_of_one_value_has_it_everywhere() {
     let bench = corner();
     bench.with_map("room.vmap", |map| {
         let surfels = surfels(map);
-        let lit = Irradiance::new(map, &vec![[0.3, 7.0, 1e-6]; surfels.len()]).unwrap();
+        let lit = lit_by(map, &vec![[0.3, 7.0, 1e-6]; surfels.len()]).unwrap();
         for (id, &(place, normal)) in (0..).zip(&surfels) {
             for step in [0, 9_000, 40_000, 90_000] {
                 let found = lit.at([place[0], place[1] + step, place[2]], normal, id);
@@ -78,7 +83,7 @@ fn light_of_one_value_has_it_everywhere() {
         // Of one surfel alone, and of none in whose reach a place is, it is that to the bit.
         let far = lit.at([1 << 21, 1 << 21, 1 << 21], [0.0; 3], 5);
         assert_eq!(far, [0.3f32, 7.0, 1e-6].map(f64::from));
-        assert!(Irradiance::new(map, &[[1.0; 3]]).is_err(), "as many as surfels");
+        assert!(lit_by(map, &[[1.0; 3]]).is_err(), "as many as surfels");
     });
     let one = Bench::new();
     let mut text = ply_header(9, &["x", "y", "z", "nx", "ny", "nz"]);
@@ -87,7 +92,7 @@ fn light_of_one_value_has_it_everywhere() {
     one.line("ingest room.ply").ok();
     one.line("build").ok();
     one.with_map("room.vmap", |map| {
-        let alone = Irradiance::new(map, &[[0.1, 0.2, 0.3]]).unwrap();
+        let alone = lit_by(map, &[[0.1, 0.2, 0.3]]).unwrap();
         let found = alone.at([7, 1 << 20, 0], [0.0, 0.0, 1.0], 0);
         assert_eq!(found, [0.1f32, 0.2, 0.3].map(f64::from));
     });
@@ -101,7 +106,7 @@ fn light_of_another_surface_does_not_get_round_a_corner() {
         let is_floor = |normal: [f32; 3]| normal[2] > 0.9;
         let values: Vec<_> =
             surfels.iter().map(|s| if is_floor(s.1) { [1.0; 3] } else { [9.0; 3] }).collect();
-        let lit = Irradiance::new(map, &values).unwrap();
+        let lit = lit_by(map, &values).unwrap();
         for (id, (place, normal)) in (0..).zip(&surfels) {
             let expected = if is_floor(*normal) { 1.0 } else { 9.0 };
             // Into the corner, on the surface.
@@ -125,7 +130,7 @@ fn light_changes_smoothly_where_surfels_change_hard() {
             (0..).zip(&surfels).filter(|(_, s)| s.1[2] > 0.9).map(|(id, _)| id).collect();
         let mut rng = fastrand::Rng::with_seed(3);
         let values: Vec<_> = surfels.iter().map(|_| [rng.f32(); 3]).collect();
-        let lit = Irradiance::new(map, &values).unwrap();
+        let lit = lit_by(map, &values).unwrap();
         let own = |x: u32, y: u32| {
             let away = |&id: &u32| {
                 let [cx, cy, _] = surfels[id as usize].0;

@@ -347,7 +347,8 @@ fn look(
         let normal = s.normal.map(|v| f64::from(v) / 16384.0);
         if is_glossy(frame.world_of(s.centroid), normal) { gloss } else { Gloss::default() }
     });
-    let glimpses = Glimpses::new(&map, glosses.collect()).unwrap();
+    let elements = Elements::of_map(map.view()).unwrap();
+    let glimpses = Glimpses::new(&map, elements, glosses.collect()).unwrap();
     let away = |id: &u32| {
         let at = frame.world_of(surfels[*id as usize].centroid);
         (0..3).map(|i| (at[i] - place[i]).powi(2)).sum::<f64>()

@@ -69,10 +69,7 @@ impl PointLight {
             false => None,
         };
         let exposure = match &lit {
-            Some(lit) if fields.contains(&PointField::Radiosity) => {
-                let of_map = |e| Error::artifact(map_path, e);
-                lit.exposure(light.exposure, map).map_err(of_map)?
-            }
+            Some(lit) if fields.contains(&PointField::Radiosity) => lit.exposure(light.exposure),
             _ => 1.0,
         };
         let sky = match fields.contains(&PointField::SkyView) {

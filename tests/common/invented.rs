@@ -1,9 +1,11 @@
 //! Light that nobody computed: values for the surfels of a map, written as a light file.
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
 use std::path::Path;
 
-use pvmap::light::Gloss;
+use pvmap::light::{Gloss, areas_grid2};
+use pvmap::vmap::light::Factors;
 use pvmap::vmap::{LightSummary, MapView};
 use pvmap::{Error, LightChannel, LightContent, Quiet, write_light};
 
@@ -20,7 +22,7 @@ pub struct Invented {
     pub channels: Vec<Vec<Row>>,
     pub gloss: Option<Vec<Gloss>>,
     pub sky: Option<Vec<f64>>,
-    pub scale: Vec<f64>,
+    pub factors: Vec<Factors>,
     pub summary: LightSummary,
     pub lights: String,
     pub plan: String,
@@ -30,12 +32,13 @@ impl Invented {
     /// Takes what `row` says of each surfel and channel of a map.
     pub fn of(map: &MapView<'_>, n_channels: usize, row: impl Fn(u32, usize) -> Row) -> Invented {
         let n = map.summary().n_surfels;
+        let factors = |(s, area)| Factors { area, scale: 1.0 - f64::from(s) / 1e6 };
         let balance = |c| if c < n_channels { [8.0, 5.0, 3.0, 0.0] } else { [0.0; 4] };
         Invented {
             channels: (0..n_channels).map(|c| (0..n).map(|s| row(s, c)).collect()).collect(),
             gloss: None,
             sky: None,
-            scale: (0..n).map(|s| 1.0 - f64::from(s) / 1e6).collect(),
+            factors: (0..).zip(areas_grid2(map).unwrap()).map(factors).collect(),
             summary: LightSummary {
                 map: map.file().root(),
                 order: 3,
@@ -73,7 +76,7 @@ impl Invented {
             channels: &channels,
             gloss: self.gloss.as_deref(),
             sky: self.sky.as_deref(),
-            scale: &self.scale,
+            factors: &self.factors,
         };
         write_light(path, &content, &Quiet)
     }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::area::areas_grid2;
 use crate::error::LightError;
+use crate::material::check_each;
 use crate::number::Number;
 
 /// A piece of surface that has one radiosity.
@@ -35,7 +36,9 @@ impl<T: Number> Columns<T> {
     /// Gives the numbers of an element.
     #[inline(always)]
     pub(crate) fn record(&self, index: usize) -> Record<T> {
-        self.0.each_ref().map(|column| column[index])
+        let [x, y, z, u, v, w, area, sides] = &self.0;
+        let normal = [u[index], v[index], w[index]];
+        [x[index], y[index], z[index], normal[0], normal[1], normal[2], area[index], sides[index]]
     }
 }
 
@@ -76,8 +79,18 @@ impl Elements {
     /// # Errors
     /// Where the map is damaged.
     pub fn of_map(map: &MapView<'_>) -> Result<Elements, LightError> {
+        Elements::with_areas(map, &areas_grid2(map)?)
+    }
+
+    /// Does the same with areas that are known, in square grid steps, as [`areas_grid2`] gives
+    /// them.
+    ///
+    /// # Errors
+    /// Where the map is damaged, or there is not an area above 0 for each surfel.
+    pub fn with_areas(map: &MapView<'_>, areas: &[f64]) -> Result<Elements, LightError> {
         let step = map.frame().frame.unit();
-        let areas = areas_grid2(map)?;
+        let n = map.summary().n_surfels;
+        check_each(n as usize, "the area", "above 0", areas, |a| a > 0.0 && a.is_finite())?;
         let element = |id: u32| {
             let surfel = map.surfel(id)?;
             let normal = surfel.normal.map(f64::from);
@@ -89,7 +102,7 @@ impl Elements {
             let two_sided = surfel.two_sided;
             Ok::<_, LightError>(Element { position, normal: normal.map(unit), area, two_sided })
         };
-        let elements = (0..map.summary().n_surfels).into_par_iter().map(element);
+        let elements = (0..n).into_par_iter().map(element);
         let mut all = Elements::default();
         elements.collect::<Result<Vec<_>, _>>()?.into_iter().for_each(|one| all.push(one));
         Ok(all)

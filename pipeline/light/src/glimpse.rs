@@ -58,13 +58,17 @@ struct Ray {
 }
 
 impl<'a> Glimpses<'a> {
-    /// Takes a map whose discs close surfaces ([`Map::solid`]), and what each of its surfels
-    /// mirrors and lets through.
+    /// Takes a map whose discs close surfaces ([`Map::solid`]), its elements, and what each of its
+    /// surfels mirrors and lets through.
     ///
     /// # Errors
     /// Where there are not as many values as surfels, or the map is damaged.
-    pub fn new(map: &'a Map<'a>, gloss: Vec<Gloss>) -> Result<Glimpses<'a>, LightError> {
-        let elements = Arc::new(Elements::of_map(map.view())?);
+    pub fn new(
+        map: &'a Map<'a>,
+        elements: Elements,
+        gloss: Vec<Gloss>,
+    ) -> Result<Glimpses<'a>, LightError> {
+        let elements = Arc::new(elements);
         let (found, expected) = (gloss.len(), elements.len());
         if found != expected {
             return Err(LightError::Count { what: "gloss", found, expected });

@@ -8,7 +8,6 @@
 use pvmap_geometry::GridPoint;
 use pvmap_vmap::MapView;
 
-use crate::area::areas_grid2;
 use crate::error::LightError;
 use crate::vector::{dot, sub};
 
@@ -59,17 +58,24 @@ struct Layer {
 }
 
 impl Irradiance {
-    /// Takes the irradiance of each surfel of a map: red, green and blue, in their order.
+    /// Takes the area of each surfel of a map, in square grid steps, and its irradiance, red, green
+    /// and blue, in their order.
     ///
     /// # Errors
     /// Where there are not as many values as surfels, or the map is damaged.
-    pub fn new(map: &MapView<'_>, irradiance: &[[f32; 3]]) -> Result<Irradiance, LightError> {
-        let (found, expected) = (irradiance.len(), map.summary().n_surfels as usize);
-        if found != expected {
-            return Err(LightError::Count { what: "irradiance", found, expected });
+    pub fn new(
+        map: &MapView<'_>,
+        areas: &[f64],
+        irradiance: &[[f32; 3]],
+    ) -> Result<Irradiance, LightError> {
+        let expected = map.summary().n_surfels as usize;
+        for (what, found) in [("the area", areas.len()), ("irradiance", irradiance.len())] {
+            if found != expected {
+                return Err(LightError::Count { what, found, expected });
+            }
         }
         let mut surfels = Vec::with_capacity(expected);
-        for ((id, area), &irradiance) in (0..).zip(areas_grid2(map)?).zip(irradiance) {
+        for ((id, area), &irradiance) in (0..).zip(areas).zip(irradiance) {
             let surfel = map.surfel(id)?;
             surfels.push(Neighbour {
                 centroid: surfel.centroid.map(|v| v as f32),

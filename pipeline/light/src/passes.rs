@@ -8,11 +8,13 @@
 
 use std::array::from_fn;
 
+use rayon::prelude::*;
+
 use crate::element::Columns;
 use crate::exchange::{Exchange, Far};
 use crate::fmm::grid::{Between, Grid, Vectors};
 use crate::fmm::station::{Place, of_elements};
-use crate::fmm::translate::{Sources, translate};
+use crate::fmm::translate::{self, Source, translate};
 use crate::kernel::{Block, receive};
 use crate::number::Number;
 use crate::precision::power_below;
@@ -31,7 +33,7 @@ pub(crate) struct Passes<'a, T, const C: usize> {
     scale: [f64; C],
     scaled: [Vec<T>; C],
     /// n_j A_j b_j of each element and what the grids have gathered; empty without grids.
-    vectors: Vec<Vectors<T, C>>,
+    sources: Vec<Source<T, C>>,
 }
 
 /// What the way down writes for a subtree.
@@ -47,13 +49,17 @@ struct Below<'m, T, const C: usize> {
 /// What one thread works with.
 struct Bench<T, const C: usize> {
     block: Block<T, C>,
-    sources: Sources<T, C>,
+    columns: translate::Columns<T, C>,
     between: Between<T, C>,
 }
 
 impl<T: Number, const C: usize> Bench<T, C> {
     fn new() -> Bench<T, C> {
-        Bench { block: Block::default(), sources: Sources::default(), between: Between::new() }
+        Bench {
+            block: Block::default(),
+            columns: translate::Columns::default(),
+            between: Between::new(),
+        }
     }
 }
 
@@ -66,14 +72,20 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
     ) -> Passes<'a, T, C> {
         let largest = |b: &[f64]| b.iter().fold(0.0, |most: f64, b| most.max(b.abs()));
         let scale = b.map(|b| power_below(largest(b)));
-        let scaled = from_fn(|c| b[c].iter().map(|b| T::of(b / scale[c])).collect());
-        let vectors = Vec::new();
-        let mut passes = Passes { exchange, columns, places, unit, b, scale, scaled, vectors };
+        let scaled = from_fn(|c| b[c].par_iter().map(|b| T::of(b / scale[c])).collect());
+        let sources = Vec::new();
+        let mut passes = Passes { exchange, columns, places, unit, b, scale, scaled, sources };
         if let Some(far) = &exchange.far {
-            passes.vectors = (0..exchange.elements.len()).map(|j| passes.vectors_of(j)).collect();
+            let (of_elements, of_grids) = places.split_at(exchange.elements.len());
+            let source = |(j, &place)| Source { place, vectors: passes.vectors_of(j) };
+            let mut sources = Vec::with_capacity(places.len());
+            sources.par_extend(of_elements.par_iter().enumerate().map(source));
+            passes.sources = sources;
             let mut moments = vec![[[T::default(); 3]; C]; far.grids.n_places()];
             passes.gather(far, 0, &mut moments, &mut Between::new());
-            passes.vectors.append(&mut moments);
+            let gathered = of_grids.par_iter().zip(moments);
+            let source = |(&place, vectors)| Source { place, vectors };
+            passes.sources.par_extend(gathered.map(source));
         }
         passes
     }
@@ -96,7 +108,7 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
             let below = Below { local: &mut local, field: &mut field, flux: &mut flux };
             self.spread(0, below, &mut Bench::new());
         }
-        from_fn(|channel| flux.iter().map(|flux| flux[channel]).collect())
+        from_fn(|channel| flux.par_iter().map(|flux| flux[channel]).collect())
     }
 
     /// Fills the moments of a subtree, the children before their parent.
@@ -138,7 +150,7 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
     fn gather_elements(&self, grid: &Grid, node: u32, moments: &mut [Vectors<T, C>]) {
         let (first, end) = self.exchange.hierarchy.node(node).elements;
         for j in first as usize..end as usize {
-            grid.gather(self.position(j), &self.vectors[j], moments);
+            grid.gather(self.position(j), &self.sources[j].vectors, moments);
         }
     }
 
@@ -279,8 +291,8 @@ impl<'a, T: Number, const C: usize> Passes<'a, T, C> {
             let partners = (far.lists.of_node(station), far.parts.of_node(station));
             if !(partners.0.is_empty() && partners.1.is_empty()) {
                 let targets = &self.places[far.stations.places(station)];
-                let from = (self.places, &self.vectors[..]);
-                translate((&far.stations, partners), from, &mut bench.sources, targets, to);
+                let columns = &mut bench.columns;
+                translate((&far.stations, partners), &self.sources, columns, targets, to);
             }
         };
         add(first, field);

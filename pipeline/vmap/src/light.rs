@@ -8,19 +8,19 @@ use crate::map::{record, single};
 use crate::records::Record;
 
 /// The sections of every light file in file order, without `gloss`, `sky` and `sums`.
-const SECTIONS: [&str; 6] = ["summary", "lights", "plan", "given", "found", "scale"];
+const SECTIONS: [&str; 6] = ["summary", "lights", "plan", "given", "found", "factors"];
 
 /// The section between `given` and `found` where something mirrors or lets light through. [F-33]
 const GLOSS_SECTION: &str = "gloss";
 
-/// The section between `found` and `scale` where it was computed. [F-29]
+/// The section between `found` and `factors` where it was computed. [F-29]
 const SKY_SECTION: &str = "sky";
 
 /// Names the sections of a light file in file order, without `sums`.
 pub fn section_names(has_gloss: bool, has_sky: bool) -> Vec<&'static str> {
     let with = |name| match name {
         "found" if has_gloss => vec![GLOSS_SECTION, name],
-        "scale" if has_sky => vec![SKY_SECTION, name],
+        "factors" if has_sky => vec![SKY_SECTION, name],
         _ => vec![name],
     };
     SECTIONS.into_iter().flat_map(with).collect()
@@ -239,19 +239,27 @@ impl Record for SkyShare {
     }
 }
 
-/// A row of `scale`: what the exchange of a surfel was scaled with. [F-30]
+/// What a surfel brings into the exchange, whatever shines. [F-30]
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scale(pub f64);
+pub struct Factors {
+    /// The area that it stands for, in square grid steps.
+    pub area: f64,
+    /// What its exchange was scaled with.
+    pub scale: f64,
+}
 
-impl Record for Scale {
-    const BYTES: usize = 8;
+impl Record for Factors {
+    const BYTES: usize = 16;
 
     fn write(&self, w: &mut FieldWriter<'_>) {
-        w.f64(self.0);
+        w.f64(self.area);
+        w.f64(self.scale);
     }
 
-    fn read(r: &mut FieldReader<'_>) -> Option<Scale> {
-        Some(Scale(r.f64())).filter(|scale| scale.0 > 0.0 && scale.0.is_finite())
+    fn read(r: &mut FieldReader<'_>) -> Option<Factors> {
+        let factors = Factors { area: r.f64(), scale: r.f64() };
+        let is_factor = |v: f64| v > 0.0 && v.is_finite();
+        (is_factor(factors.area) && is_factor(factors.scale)).then_some(factors)
     }
 }
 
@@ -263,7 +271,7 @@ pub struct LightView<'a> {
     summary: LightSummary,
     given: Section,
     found: Section,
-    scale: Section,
+    factors: Section,
     /// Where something mirrors or lets light through.
     gloss: Option<Section>,
     /// Where it was computed.
@@ -289,12 +297,12 @@ impl<'a> LightView<'a> {
         let n_channels = summary.n_channels as usize;
         let given = rows("given", Given::BYTES * n_channels)?;
         let found = rows("found", Found::BYTES * n_channels)?;
-        let scale = rows("scale", Scale::BYTES)?;
+        let factors = rows("factors", Factors::BYTES)?;
         let has = |name: &str| file.sections().iter().any(|section| section.name == name);
         let optional = |name, bytes| has(name).then(|| rows(name, bytes)).transpose();
         let gloss = optional(GLOSS_SECTION, Gloss::BYTES)?;
         let sky = optional(SKY_SECTION, SkyShare::BYTES)?;
-        Ok(LightView { summary, given, found, scale, gloss, sky, file })
+        Ok(LightView { summary, given, found, factors, gloss, sky, file })
     }
 
     /// Gives the file around the sections.
@@ -338,12 +346,12 @@ impl<'a> LightView<'a> {
         }
     }
 
-    /// Reads what the exchange of a surfel was scaled with, `surfel` < `n_surfels`.
+    /// Reads the area of a surfel and what its exchange was scaled with, `surfel` < `n_surfels`.
     ///
     /// # Errors
     /// As [`Self::given`].
-    pub fn scale(&self, surfel: u32) -> Result<f64, FormatError> {
-        Ok(record::<Scale>(&self.file, &self.scale, surfel.into())?.0)
+    pub fn factors(&self, surfel: u32) -> Result<Factors, FormatError> {
+        record(&self.file, &self.factors, surfel.into())
     }
 
     /// Says whether anything mirrors or lets light through.
@@ -407,7 +415,7 @@ impl<'a> LightView<'a> {
 
     /// Counts the bytes that verifying goes through: the whole file, then the rows again.
     pub fn verify_bytes(&self) -> u64 {
-        let always = [&self.given, &self.found, &self.scale];
+        let always = [&self.given, &self.found, &self.factors];
         let rows = always.into_iter().chain(&self.gloss).chain(&self.sky);
         self.file.len_bytes() + rows.map(|section| section.len_bytes).sum::<u64>()
     }
@@ -451,7 +459,7 @@ impl<'a> LightView<'a> {
             let what = format!("surfel {surfel}: it scatters, mirrors and lets through above 1");
             return Err(section.broken(at, what));
         }
-        self.scale(surfel)?;
+        self.factors(surfel)?;
         self.sky(surfel)?;
         Ok(())
     }

@@ -27,7 +27,7 @@ pub(super) fn of(args: &Args, map: &MapView<'_>, map_path: &Path) -> Result<Opti
     let bytes = Mapped::open(path)?;
     let view = LightView::open(&bytes).map_err(|e| Error::artifact(path, e))?;
     let lit = LitMap::read((path, &view), (map_path, map))?;
-    let exposure = lit.exposure(args.exposure, map).map_err(|e| Error::artifact(map_path, e))?;
+    let exposure = lit.exposure(args.exposure);
     Ok(Some(Light { path: path.clone(), bytes, lit, exposure }))
 }
 

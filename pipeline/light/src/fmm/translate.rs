@@ -13,24 +13,31 @@ use crate::number::{LANES, Number, across, lanes};
 /// Places put side by side: so many at a time.
 const SOURCES: usize = 256;
 
+/// A place with the vectors at it: they are read together, and far apart in memory from others.
+#[derive(Clone, Copy)]
+pub(crate) struct Source<T, const C: usize> {
+    pub(crate) place: Place<T>,
+    pub(crate) vectors: Vectors<T, C>,
+}
+
 /// Places, what softens their exchange and the vectors at them, by column.
-pub(crate) struct Sources<T, const C: usize> {
+pub(crate) struct Columns<T, const C: usize> {
     places: [[T; SOURCES]; 4],
     vectors: [[[T; SOURCES]; 3]; C],
     n: usize,
 }
 
-impl<T: Number, const C: usize> Default for Sources<T, C> {
-    fn default() -> Sources<T, C> {
+impl<T: Number, const C: usize> Default for Columns<T, C> {
+    fn default() -> Columns<T, C> {
         let column = [T::default(); SOURCES];
-        Sources { places: [column; 4], vectors: [[column; 3]; C], n: 0 }
+        Columns { places: [column; 4], vectors: [[column; 3]; C], n: 0 }
     }
 }
 
-impl<T: Number, const C: usize> Sources<T, C> {
-    /// Takes a place with the vectors at it; says whether there is no room for another.
+impl<T: Number, const C: usize> Columns<T, C> {
+    /// Takes a source; says whether there is no room for another.
     #[inline(always)]
-    fn push(&mut self, place: &Place<T>, vectors: &Vectors<T, C>, weight: T) -> bool {
+    fn push(&mut self, Source { place, vectors }: &Source<T, C>, weight: T) -> bool {
         let n = self.n;
         if n >= SOURCES {
             unreachable!("what is full is sent");
@@ -47,7 +54,7 @@ impl<T: Number, const C: usize> Sources<T, C> {
         n + 1 == SOURCES
     }
 
-    /// Adds the field of these at some places, and takes none any more.
+    /// Adds the field of what was taken at some places, and forgets it.
     #[inline(always)]
     fn send(&mut self, targets: &[Place<T>], field: &mut [Vectors<T, C>]) {
         // Places without a vector, where the last one is, fill up the last lanes.
@@ -86,23 +93,23 @@ pub(crate) type Partners<'a> = (&'a [Partner], &'a [(Partner, Part)]);
 #[multiversion(targets = "simd")]
 pub(crate) fn translate<T: Number, const C: usize>(
     (stations, (partners, parts)): (&Stations, Partners<'_>),
-    (places, vectors): (&[Place<T>], &[Vectors<T, C>]),
-    sources: &mut Sources<T, C>,
+    sources: &[Source<T, C>],
+    columns: &mut Columns<T, C>,
     targets: &[Place<T>],
     field: &mut [Vectors<T, C>],
 ) {
     let whole = partners.iter().map(|&partner| (partner, partner.sign()));
     let parts = parts.iter().map(|&(partner, part)| (partner, partner.sign() * part.share()));
-    for (partner, weight) in whole.chain(parts) {
+    whole.chain(parts).for_each(|(partner, weight)| {
         let weight = T::of(weight);
-        for j in stations.places(partner.station()) {
-            if sources.push(&places[j], &vectors[j], weight) {
-                sources.send(targets, field);
+        for source in &sources[stations.places(partner.station())] {
+            if columns.push(source, weight) {
+                columns.send(targets, field);
             }
         }
-    }
-    if sources.n > 0 {
-        sources.send(targets, field);
+    });
+    if columns.n > 0 {
+        columns.send(targets, field);
     }
 }
 
