@@ -11,7 +11,7 @@ use pvmap_query::Map;
 use pvmap_store::output::folder_of;
 use pvmap_store::{Mapped, StoreError, Watch};
 use pvmap_vmap::light::Factors;
-use pvmap_vmap::{LightSummary, LightView, MapView};
+use pvmap_vmap::{FormatError, LightSummary, LightView, MapView};
 
 use crate::build::open_octree;
 use crate::light_file::check_output;
@@ -126,6 +126,8 @@ fn run(
     let scene = Lighting::new(&map, elements, materials, lamps, sky, options).map_err(fail)?;
     let planned = scene.plan(watch).map_err(fail)?;
     let n_surfels = map.view().summary().n_surfels;
+    let mut notes = notes;
+    notes.extend(note_of_spacing(map.view()).map_err(|e| Error::artifact(&request.map, e))?);
     let mut report = LightReport {
         plan: planned.plan.clone(),
         notes,
@@ -140,6 +142,7 @@ fn run(
         let text = (lights.to_text(), planned.plan.to_string());
         let made = (&lit, &gloss[..], &areas[..]);
         report.notes_after.extend(note_of_flux(&given, lit.from_lamps));
+        report.notes_after.extend(note_of_rows(&lit, scene.row_tolerance()));
         report.done = Some(write(output, &text, (request, map.view(), &lights), made, watch)?);
     }
     Ok(report)
@@ -173,11 +176,47 @@ fn factors_of(
     let row = |id| view.factors(id).map(|factors| (factors.area, factors.scale));
     let rows = (0..view.summary().n_surfels).map(row).collect::<Result<_, _>>();
     let (areas, scale): (Vec<f64>, Vec<f64>) = rows.map_err(damaged)?;
-    Ok((areas, Scaling { scale, row_error: view.summary().row_error }))
+    let LightSummary { row_error, error_target, .. } = *view.summary();
+    Ok((areas, Scaling { scale, row_error, error: error_target }))
 }
 
 /// The share of the flux of lamps that may go elsewhere, or come from nowhere, untold.
 const UNTOLD: f64 = 0.05;
+
+/// The share of points whose surfels may not know their spacing, untold.
+const UNSPACED: f64 = 0.1;
+
+/// Says how many surfels have patches without extent, where these are many.
+fn note_of_spacing(map: &MapView<'_>) -> Result<Option<String>, FormatError> {
+    let (mut n_surfels, mut n_points) = (0u32, 0);
+    for id in 0..map.summary().n_surfels {
+        let surfel = map.surfel(id)?;
+        if surfel.half_spacing <= 1 {
+            (n_surfels, n_points) = (n_surfels + 1, n_points + surfel.n_points);
+        }
+    }
+    let is_told = n_points as f64 > UNSPACED * map.summary().n_points as f64;
+    Ok(is_told.then(|| {
+        format!(
+            "{n_surfels} of {} surfels have too few points to tell how far these are apart: light \
+             passes between them; build with a larger --leaf-capacity or --spacing neighbors",
+            map.summary().n_surfels
+        )
+    }))
+}
+
+/// Says by how much rows are off, unless that is what the error that was asked for leaves them.
+fn note_of_rows(lit: &Lit, tolerance: f64) -> Option<String> {
+    let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+    (lit.row_error > tolerance).then(|| {
+        format!(
+            "rows of the exchange are off by {} of it, the error asked for leaves them {}: light \
+             may be as much darker with every bounce, most of all in narrow corners",
+            percent(lit.row_error),
+            percent(tolerance)
+        )
+    })
+}
 
 /// Says how much of the light of lamps arrives, unless that is about all.
 fn note_of_flux(lamps: &[Lamp], arrives: [f64; 3]) -> Option<String> {

@@ -80,6 +80,24 @@ fn areas_are_those_of_the_plan_however_uneven_and_noisy_the_points() {
 }
 
 #[test]
+fn leaves_of_a_point_or_two_have_the_area_of_what_they_lie_on() {
+    let bench = scanned("furnished --points 6k", "");
+    for capacity in [1, 2, 4] {
+        bench.line(&format!("build scan.octree {QUICK} --leaf-capacity {capacity}")).ok();
+        let all = bench.with_map("scan.vmap", surfels);
+        let area: f64 = all.iter().map(|surfel| surfel.2).sum();
+        println!("{capacity}: {area:.1} m² of {ROOM_M2}, {} surfels", all.len());
+        assert!((area / ROOM_M2 - 1.0).abs() < 0.15, "{capacity}: {area} m²");
+    }
+    bench.write("lights.toml", "[[glow]]\nall = true\nexitance = 1\n");
+    let run = bench.line("light scan.vmap --lights lights.toml --plan --progress off").ok();
+    assert!(!run.stderr.contains("too few points"), "{}", run.stderr);
+    bench.line(&format!("build scan.octree {QUICK} --leaf-capacity 1")).ok();
+    let run = bench.line("light scan.vmap --lights lights.toml --plan --progress off").ok();
+    run.warns(&["surfels have too few points to tell how far these are apart"]);
+}
+
+#[test]
 fn a_thin_wall_has_the_area_of_both_of_its_faces() {
     // 2 cm thick, in leaves of 5 cm, denser to one side.
     let mut rng = fastrand::Rng::with_seed(5);
@@ -121,6 +139,16 @@ fn what_lamps_give_arrives_in_a_closed_room_however_near_or_narrow_they_are() {
             println!("{scene}, {lamp}: {found}");
             assert!((found / 100.0 - 1.0).abs() <= most, "{scene}, {lamp}: {found}");
         }
+    }
+    // Over the edges of the box, and on the ball: outlines of leaves do not meet there.
+    let bench = scanned("furnished --points 100k", "");
+    let edge = "direction = [0.1, 0.2, -1]";
+    let ball = "direction = [0.25, -0.23, -0.94]";
+    for (direction, angle) in [(edge, 0.5), (edge, 1.0), (ball, 0.5)] {
+        let at = format!("position = [2.75, 2.75, 4.0]\n{direction}");
+        let found = arriving(&bench, &format!("[[spot]]\n{at}\nangle = {angle:?}\nflux = 100"));
+        println!("{direction}, {angle}: {found}");
+        assert!((found / 100.0 - 1.0).abs() <= 0.05, "{direction}, {angle}: {found}");
     }
     // By the areas of before it was 85 of 100.
     let bench = scanned("furnished --points 200k --uneven 64", "");

@@ -118,11 +118,36 @@ fn random_box(n: usize) -> Cloud {
 
 #[test]
 fn n72_random_points_of_a_closed_box_are_all_alike() {
-    let bench = built(&random_box(100_000), "--leaf-capacity 200");
-    let light = lit(&bench, &furnace(0.8), "--error 0.002%");
-    let (mean, most) = off(&bench, &light, 5.0);
-    // 5.000 ± 1e-3 everywhere.
-    assert!(5.0 * most <= 1e-3, "{mean:e}, at the most {most:e}");
+    // With fewer points a leaf its patches leave gaps, which are no openings.
+    for options in ["--leaf-capacity 200", ""] {
+        let bench = built(&random_box(100_000), options);
+        let light = lit(&bench, &furnace(0.8), "--error 0.002%");
+        let (mean, most) = off(&bench, &light, 5.0);
+        // 5.000 ± 1e-3 everywhere.
+        assert!(5.0 * most <= 1e-3, "{options} {mean:e}, at the most {most:e}");
+    }
+}
+
+#[test]
+fn a_scaling_for_a_larger_error_is_not_good_enough_for_a_smaller_one() {
+    let bench = built(&scene_cloud(SceneKind::Empty, 20_000), "");
+    lit(&bench, &furnace(0.8), "-o rough.light");
+    let fresh = lit(&bench, &furnace(0.8), "--error 0.05%");
+    let again = lit(&bench, &furnace(0.8), "--error 0.05% --scale-of rough.light");
+    assert!(again == fresh, "another light than that of a full run");
+    // The other way round it is taken as it is.
+    lit(&bench, &furnace(0.8), "--error 0.05% -o fine.light");
+    let told = run(&bench, &furnace(0.8), "--scale-of fine.light").ok().stdout;
+    let rows = summary(&bench.read("room.light")).row_error;
+    assert_eq!(rows, summary(&bench.read("fine.light")).row_error, "{told}");
+}
+
+#[test]
+fn rows_that_do_not_fit_the_error_are_told() {
+    let bench = built(&scene_cloud(SceneKind::Furnished, 20_000), "");
+    let rough = run(&bench, &furnace(0.5), "--error 5%").ok();
+    assert!(!rough.stderr.contains("rows of the exchange"), "{}", rough.stderr);
+    run(&bench, &furnace(0.5), "--error 1e-6").ok().warns(&["rows of the exchange are off by"]);
 }
 
 /// n points of a sphere of radius 2, facing inward: none is near another for the number there is.

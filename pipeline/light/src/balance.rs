@@ -50,6 +50,8 @@ pub struct Scaling {
     pub scale: Vec<f64>,
     /// By how much rows are off with it, as a share of all area.
     pub row_error: f64,
+    /// The error that was asked for when it was found.
+    pub error: f64,
 }
 
 impl<'a> Balanced<'a> {
@@ -136,7 +138,7 @@ impl<'a> Balanced<'a> {
     pub(crate) fn again(
         exchange: &'a Exchange,
         scene: Scene,
-        Scaling { scale, row_error }: Scaling,
+        Scaling { scale, row_error, .. }: Scaling,
         (some, tolerance): (&[u32], f64),
     ) -> Result<Balanced<'a>, LightError> {
         let areas = exchange.elements().areas();

@@ -17,6 +17,7 @@ use crate::error::{LightError, check};
 use crate::lamp::{Lamp, Sky};
 use crate::polygon::{Cone, irradiance_of_polygon, solid_angle, solid_angle_within};
 use crate::section::Section;
+use crate::sum::sum;
 use crate::vector::{add, beside, cross, dot, norm, scale, sub};
 
 /// Elements that are done at a time.
@@ -27,12 +28,22 @@ const FINE: usize = 12;
 /// Directions to the sky along a side of the square that they are drawn from.
 const SKY: usize = 8;
 pub(crate) const N_DIRECTIONS: usize = SKY * SKY;
+/// Rays from lamps that say how much of their light arrives, of all lamps together and of one at the
+/// least.
+const N_RAYS: usize = 1 << 14;
+const LEAST_RAYS: usize = 1 << 10;
+/// What arrives is not made to fit them where it is no farther off than that.
+const LEAST_OFF: f64 = 0.02;
+/// How far from the back of a patch a ray goes on, and how far behind it a face may be that the
+/// patch belongs before, in radii of the element.
+const BEYOND: f64 = 1e-3;
+const BEHIND: f64 = 4.0;
 /// The share of its section with its cell that an element's points cover where it has all of it.
 const MIN_COVERED: f64 = 0.8;
 /// The golden angle, which no number of turns comes near to a circle of.
-const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
+pub(crate) const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
 /// What 1 is to the plastic number and to its square: steps that spread pairs of numbers evenly.
-const PLASTIC: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
+pub(crate) const PLASTIC: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 /// How far off the sun and the sky are, in sides of the scan's cube.
 pub(crate) const FAR: f64 = 4.0;
 
@@ -111,25 +122,62 @@ impl<'a> Air<'a> {
     }
 
     /// Gives what arrives from all lamps; without `tests`, as if nothing were in between.
+    ///
+    /// Where patches of an edge or of a curved surface cover some directions twice or not at all,
+    /// what arrives from a lamp is multiplied, if `is_bounded`, so that it is as much as rays from
+    /// it meet.
     pub(crate) fn lamps(
         &self,
         lamps: &[Lamp],
-        tests: bool,
+        (tests, is_bounded): (bool, bool),
         watch: &dyn Watch,
     ) -> Result<Incident, LightError> {
-        let rows = self.each(watch, |id| {
-            let mut row = Row::default();
-            for lamp in lamps {
+        let nothing = vec![0.0; self.elements.len()];
+        let irradiance = [0, 1, 2].map(|_| nothing.clone());
+        let mut incident = Incident { irradiance, ..Incident::default() };
+        let n_rays = (N_RAYS / lamps.len().max(1)).max(LEAST_RAYS);
+        for lamp in lamps {
+            let rows = self.each(watch, |id| {
+                let mut row = Row::default();
                 self.add(lamp, id, tests, &mut row)?;
+                Ok(row)
+            })?;
+            let by = if is_bounded { self.correction(lamp, &rows, n_rays)? } else { 1.0 };
+            for (channel, irradiance) in incident.irradiance.iter_mut().enumerate() {
+                let more = rows.iter().map(|row| by * row.irradiance[channel]);
+                irradiance.iter_mut().zip(more).for_each(|(all, more)| *all += more);
             }
-            Ok(row)
-        })?;
-        let of = |channel: usize| rows.iter().map(|row| row.irradiance[channel]).collect();
-        Ok(Incident {
-            irradiance: [0, 1, 2].map(of),
-            n_segments: rows.iter().map(|row| row.n_segments).sum(),
-            n_blocked: rows.iter().map(|row| row.n_blocked).sum(),
-        })
+            incident.n_segments += rows.iter().map(|row| row.n_segments).sum::<u64>();
+            incident.n_blocked += rows.iter().map(|row| row.n_blocked).sum::<u64>();
+        }
+        Ok(incident)
+    }
+
+    /// Gives what the light of a lamp is to be multiplied with so that as much arrives as rays from
+    /// it bring; 1 where that is not known better by rays.
+    fn correction(&self, lamp: &Lamp, rows: &[Row], n_rays: usize) -> Result<f64, LightError> {
+        let Some(given) = lamp.flux() else { return Ok(1.0) };
+        let areas = self.elements.areas();
+        let in_all = |color: [f64; 3]| color.iter().sum::<f64>();
+        let arrives = sum(areas.iter().zip(rows).map(|(area, row)| area * in_all(row.irradiance)));
+        let arrives = arrives / in_all(given);
+        let met = self.share_met(lamp, n_rays)?;
+        // Three times the standard error of as many rays at random; these are spread evenly.
+        let doubt = 3.0 * ((1.0 - met) / (met * n_rays as f64)).sqrt();
+        let is_known = arrives > 0.0 && arrives < f64::INFINITY && met > 0.0;
+        let is_off = (arrives / met - 1.0).abs() > doubt.max(LEAST_OFF);
+        Ok(if is_known && is_off { met / arrives } else { 1.0 })
+    }
+
+    /// Gives the share of a lamp's light that meets the face of an element, by rays spread evenly
+    /// over all that it sends out.
+    fn share_met(&self, lamp: &Lamp, n_rays: usize) -> Result<f64, LightError> {
+        let met = (0..n_rays).into_par_iter().map(|k| {
+            let Some((from, direction)) = lamp.ray(k, n_rays) else { return Ok(false) };
+            self.meets(sub(from, self.origin), direction)
+        });
+        let met = met.collect::<Result<Vec<bool>, LightError>>()?;
+        Ok(met.iter().filter(|is_met| **is_met).count() as f64 / n_rays as f64)
     }
 
     /// Tries some elements, and says of each what arrives from lamps, how many segments that took
@@ -189,6 +237,24 @@ impl<'a> Air<'a> {
             }
         }
         Ok(squares)
+    }
+
+    /// Says whether a ray meets the face of an element. At edges patches go on beyond their
+    /// surface: where it meets the back of one, it meets what is right behind it.
+    fn meets(&self, from: [f64; 3], direction: [f64; 3]) -> Result<bool, LightError> {
+        let is_face = |id: u32| {
+            let element = self.elements.get(id as usize);
+            cosine(&element, scale(direction, -1.0)) > 0.0
+        };
+        let Some((id, place)) = self.first_hit(from, direction)? else { return Ok(false) };
+        if is_face(id) {
+            return Ok(true);
+        }
+        let radius = (self.elements.get(id as usize).area / PI).sqrt();
+        let beyond = add(place, scale(direction, BEYOND * radius));
+        let next = self.first_hit(beyond, direction)?;
+        let is_behind = |at: [f64; 3]| norm(sub(at, place)) <= BEHIND * radius;
+        Ok(next.is_some_and(|(id, at)| is_face(id) && is_behind(at)))
     }
 
     /// Gives what an element gets from one lamp: flux an area, by channel.

@@ -2,7 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use crate::vector::{cross, norm, scale};
+use crate::incident::{GOLDEN, PLASTIC};
+use crate::vector::{add, beside, cross, norm, scale};
 
 /// A light added to a scene. Places are in world units; colours are red, green and blue.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,6 +64,36 @@ impl Lamp {
             Lamp::Area { sides: [u, v], exitance, .. } => Some(scale(exitance, norm(cross(u, v)))),
             Lamp::Sun { .. } => None,
         }
+    }
+
+    /// Gives the `k`-th of n rays that bring the same part of its light each: where it begins, and
+    /// its direction, of length 1. They are spread evenly. None of the sun.
+    pub(crate) fn ray(&self, k: usize, n: usize) -> Option<([f64; 3], [f64; 3])> {
+        let height = (k as f64 + 0.5) / n as f64;
+        let turn = GOLDEN * k as f64;
+        // Round an axis, so far along it and so far from it.
+        let round = |axis: [f64; 3], along: f64, away: f64| {
+            let ([u, v], (sin, cos)) = (beside(axis), turn.sin_cos());
+            add(scale(axis, along), scale(add(scale(u, cos), scale(v, sin)), away))
+        };
+        let in_cone = |axis: [f64; 3], cos_cone: f64| {
+            let along = 1.0 - (1.0 - cos_cone) * height;
+            round(axis, along, (1.0 - along * along).max(0.0).sqrt())
+        };
+        Some(match *self {
+            Lamp::Point { position, .. } => (position, in_cone([0.0, 0.0, 1.0], -1.0)),
+            Lamp::Spot { position, direction, cos_cone, .. } => {
+                (position, in_cone(direction, cos_cone))
+            }
+            Lamp::Area { corner, sides: [u, v], .. } => {
+                let [a, b] = PLASTIC.map(|step| (k as f64 * step).fract());
+                let front = cross(u, v);
+                let axis = scale(front, 1.0 / norm(front));
+                let place = add(corner, add(scale(u, a), scale(v, b)));
+                (place, round(axis, (1.0 - height).sqrt(), height.sqrt()))
+            }
+            Lamp::Sun { .. } => return None,
+        })
     }
 }
 

@@ -185,8 +185,13 @@ impl<'a> Lighting<'a> {
         self.options.error * (1.0 - rho) / rho
     }
 
+    /// Gives what rows of the exchange may be off by, as a share of all area.
+    pub fn row_tolerance(&self) -> f64 {
+        ROW_SHARE * self.operator_tolerance()
+    }
+
     /// Computes what was planned. `scaling` is that of an earlier run for the same map: it is not
-    /// found again.
+    /// found again, unless a smaller error is asked for now than it is good for.
     ///
     /// # Errors
     /// Where the map is damaged, there is no finite solution, or the run is asked to stop.
@@ -324,8 +329,12 @@ impl<'a> Lighting<'a> {
         let mut incident =
             Incident { irradiance: [0, 1, 2].map(|_| vec![0.0; n]), ..Incident::default() };
         if plan.is_on(Effect::Direct) && !self.lamps.is_empty() {
-            watch.stage("lamps", Some(n as u64), "surfels");
-            incident = air.lamps(&self.lamps, plan.is_on(Effect::Occlusion), watch)?;
+            let n_rows = (n * self.lamps.len()) as u64;
+            watch.stage("lamps", Some(n_rows), "surfels");
+            // Where no shadows are wanted more arrives than rays would bring.
+            let is_bounded = self.options.wishes.of(Effect::Occlusion) != Some(false);
+            let how = (plan.is_on(Effect::Occlusion), is_bounded);
+            incident = air.lamps(&self.lamps, how, watch)?;
             work.n_lamp_segments += incident.n_segments;
         }
         let from_lamps =
@@ -366,16 +375,16 @@ impl<'a> Lighting<'a> {
     ) -> Result<Balanced<'e>, LightError> {
         watch.stage("scale", None, "rounds");
         let scene = if plan.let_out().is_some() { Scene::Closed } else { Scene::Open };
-        let tolerance = self.operator_tolerance();
-        let balanced = match scaling {
+        let tolerance = self.row_tolerance();
+        let is_good = |scaling: &Scaling| {
+            scaling.row_error <= tolerance || scaling.error <= self.options.error
+        };
+        let balanced = match scaling.filter(is_good) {
             Some(scaling) => {
-                let some = self.some(N_COMPARED);
-                Balanced::again(exchange, scene, scaling, (&some, tolerance))?
+                let (some, doubt) = (self.some(N_COMPARED), self.operator_tolerance());
+                Balanced::again(exchange, scene, scaling, (&some, doubt))?
             }
-            None => {
-                let wanted = (ROW_SHARE * tolerance, MAX_SCALINGS);
-                Balanced::on_average(exchange, scene, wanted, watch)?
-            }
+            None => Balanced::on_average(exchange, scene, (tolerance, MAX_SCALINGS), watch)?,
         };
         lit.scale = balanced.scale().to_vec();
         lit.row_error = balanced.row_error();

@@ -141,7 +141,7 @@ impl Lighting<'_> {
         let decide =
             |(effect, call): (Effect, Call)| call.decided(effect, self.options.wishes.of(effect));
         let decisions = calls.into_iter().map(decide).collect();
-        let outlook = exchanges.then(|| self.outlook()).transpose()?;
+        let outlook = exchanges.then(|| self.outlook(watch)).transpose()?;
         let plan = Plan { decisions, order, bounces: n_bounces, outlook };
         Ok(Planned { plan, exchange, n_lamp_tries: shining.tries.n_segments })
     }

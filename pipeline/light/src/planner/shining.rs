@@ -99,7 +99,7 @@ impl Lighting<'_> {
         let air = Air::new(self.map, &self.elements);
         let from_lamps = match self.lamps.is_empty() {
             true => [0, 1, 2].map(|_| vec![0.0; n]),
-            false => air.lamps(&self.lamps, false, watch)?.irradiance,
+            false => air.lamps(&self.lamps, (false, false), watch)?.irradiance,
         };
         let emission = self.materials.channels.each_ref().map(|channel| &channel.emission);
         let flux_at =
