@@ -4,8 +4,13 @@
 
 mod cli_common;
 
-use cli_common::{Bench, room};
+use std::f64::consts::PI;
+
+use cli_common::{Bench, MIB, ply_header, room, room_ply};
+use pvmap::LitMap;
 use pvmap::lights::{EXAMPLE, Lights};
+use pvmap::render::{Size, held_bytes, held_bytes_glossy};
+use pvmap::vmap::LightView;
 
 /// What shines in the room, whose corners are at -1 and 1.
 const LAMP: &str = "[albedo]\nfrom = 0.5\n[[point]]\nposition = [0, 0, 0.5]\nflux = 10\n";
@@ -127,4 +132,37 @@ fn pictures_keep_to_the_plan_of_their_light() {
     let (through, _) = picture("--no caustics", "");
     let (without, told) = picture("--no caustics --no refraction", "");
     assert!(through != without && told.contains("planned without refraction"), "{told}");
+}
+
+/// Numbers behind a word of what is printed, up to the next that is none.
+fn number_after(text: &str, word: &str) -> f64 {
+    let (_, after) = text.split_once(word).unwrap_or_else(|| panic!("no {word:?} in: {text}"));
+    let number = after.split_whitespace().next().unwrap().trim_end_matches(',');
+    number.parse().unwrap_or_else(|_| panic!("{number:?} behind {word:?} in: {text}"))
+}
+
+/// The irradiance of all surfels, one number each.
+fn irradiance(bench: &Bench, light: &str) -> Vec<f64> {
+    let bytes = bench.read(light);
+    let light = LightView::open(&bytes).unwrap();
+    let of = |id| f64::from(light.found(id).unwrap()[0].irradiance);
+    (0..light.summary().n_surfels).map(of).collect()
+}
+
+#[test]
+fn a_scan_of_one_place_is_lit_from_outside() {
+    let bench = Bench::new();
+    let row = "2 3 4 0 0 1\n".repeat(5);
+    bench.write("one.ply", ply_header(5, &["x", "y", "z", "nx", "ny", "nz"]) + &row);
+    bench.line("ingest one.ply").ok();
+    bench.line("build one.octree").ok();
+    let sun = "[sun]\nazimuth = 0\nelevation = 90\nirradiance = 3\n";
+    let point = "[[point]]\nposition = [2, 3, 6]\nintensity = 8\n";
+    let lights = [(sun, 3.0), ("[sky]\nradiance = 0.5\n", PI / 2.0), (point, 2.0)];
+    for (light, expected) in lights {
+        bench.write("lights.toml", format!("[albedo]\nfrom = 0.5\n{light}"));
+        bench.line("light one.vmap --lights lights.toml").ok();
+        let found = irradiance(&bench, "one.light");
+        assert!((found[0] / expected - 1.0).abs() < 1e-6, "{light}: {found:?}");
+    }
 }

@@ -475,12 +475,18 @@ fn lamps_have_the_flux_that_is_said() {
     let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
     let [point, half, cone, area, sun] = found.lamps[..] else { panic!("{:?}", found.lamps) };
     assert!(matches!(point, Lamp::Point { intensity: [i, ..], .. } if near(i, 1.0 / PI)));
-    let Lamp::Spot { direction, cos_cone, intensity, .. } = half else { panic!("{half:?}") };
-    assert_eq!((direction, cos_cone), ([0.0, 0.0, -1.0], 0.0));
+    let Lamp::Spot { direction, angle, intensity, .. } = half else { panic!("{half:?}") };
+    assert_eq!((direction, angle), ([0.0, 0.0, -1.0], PI / 2.0));
     assert!(near(intensity[1], 2.0 / PI), "a half space has 2π");
-    let Lamp::Spot { direction, cos_cone, intensity, .. } = cone else { panic!("{cone:?}") };
-    assert!(near(cos_cone, 0.5) && near(direction[1], 0.6) && near(direction[2], 0.8));
+    let Lamp::Spot { direction, angle, intensity, .. } = cone else { panic!("{cone:?}") };
+    assert!(near(angle, PI / 3.0) && near(direction[1], 0.6) && near(direction[2], 0.8));
     assert_eq!(intensity, [4.0; 3]);
+    // However narrow a cone is, and a single direction would be.
+    for degrees in [1e-3, 1e-6, 1e-7, 1e-12] {
+        let spot = "[[spot]]\nposition = [1, 2, 3]\ndirection = [0, 0, -1]\nflux = 10";
+        let narrow = hall.assign(&format!("{spot}\nangle = {degrees:?}\n")).unwrap().lamps[0];
+        assert!(near(narrow.flux().unwrap()[0], 10.0), "{degrees}: {narrow:?}");
+    }
     assert!(matches!(area, Lamp::Area { exitance: [2.0, 2.0, 2.0], .. }));
     // East is +x.
     let expected = Lamp::Sun { direction: [1.0, 0.0, 0.0], irradiance: [3.0, 2.0, 1.0] };

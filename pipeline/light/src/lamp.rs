@@ -1,6 +1,6 @@
 //! Lights that are no part of the scan.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use crate::vector::{cross, norm, scale};
 
@@ -20,8 +20,8 @@ pub enum Lamp {
         position: [f64; 3],
         /// The axis of the cone, of length 1.
         direction: [f64; 3],
-        /// Cosine of the angle between the axis and the cone, -1…1.
-        cos_cone: f64,
+        /// Between the axis of the cone and its side, radians, 0…π.
+        angle: f64,
         /// Flux a solid angle, within the cone.
         intensity: [f64; 3],
     },
@@ -57,13 +57,19 @@ impl Lamp {
     pub fn flux(&self) -> Option<[f64; 3]> {
         match *self {
             Lamp::Point { intensity, .. } => Some(scale(intensity, 4.0 * PI)),
-            Lamp::Spot { cos_cone, intensity, .. } => {
-                Some(scale(intensity, TAU * (1.0 - cos_cone)))
+            Lamp::Spot { angle, intensity, .. } => {
+                Some(scale(intensity, solid_angle_of_cone(angle)))
             }
             Lamp::Area { sides: [u, v], exitance, .. } => Some(scale(exitance, norm(cross(u, v)))),
             Lamp::Sun { .. } => None,
         }
     }
+}
+
+/// Gives the solid angle of a cone by the angle between its axis and its side, radians.
+pub fn solid_angle_of_cone(angle: f64) -> f64 {
+    // 2π(1 - cos a), without the difference, which loses narrow cones.
+    4.0 * PI * (0.5 * angle).sin().powi(2)
 }
 
 /// A sky that shines alike from all directions above the horizon.
