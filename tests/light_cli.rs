@@ -166,3 +166,25 @@ fn a_scan_of_one_place_is_lit_from_outside() {
         assert!((found[0] / expected - 1.0).abs() < 1e-6, "{light}: {found:?}");
     }
 }
+
+#[test]
+fn a_plan_says_what_each_effect_is_worth_and_how_it_knows() {
+    let bench = lit(LAMP);
+    let plan = |options: &str| {
+        let run = bench.line(&format!("light room.vmap --lights lights.toml --plan {options}"));
+        // Evidence goes on in further lines.
+        run.ok().stdout.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let planned = plan("");
+    assert!(planned.contains(" direct on all "), "{planned}");
+    // All light is 2 times what shines, half of it reflected.
+    assert!(planned.contains(" bounces on ≤ 5e-1 "), "{planned}");
+    let blind = plan("--no occlusion");
+    assert!(blind.contains("segments to lamps are not tried"), "{blind}");
+    assert!(!blind.contains("none of 0"), "{blind}");
+    let all = ["occlusion on", " of all ", " segments to lamps blocked"];
+    // It shines past the ceiling onto a half of the floor.
+    bench.write("lights.toml", LAMP.replace("0, 0, 0.5]", "0, -1.5, 2]"));
+    let beside = plan("");
+    assert!(all.iter().all(|words| beside.contains(words)), "{beside}");
+}
