@@ -150,6 +150,56 @@ fn irradiance(bench: &Bench, light: &str) -> Vec<f64> {
 }
 
 #[test]
+fn a_picture_of_light_stays_within_its_memory() {
+    let gloss = "[[material]]\nbox = [-1, -1, -1, 1, 1, -0.9]\nspecular = 0.5\nalbedo = 0.5\n";
+    let bench = lit(&format!("{LAMP}{gloss}"));
+    bench.line("light room.vmap --lights lights.toml").ok();
+    let n_surfels = bench.with_map("room.vmap", |map| map.summary().n_surfels);
+    // The largest that fits, but with the light of all surfels no more.
+    let largest = |bytes: fn(Size) -> u64| {
+        let sizes = (1..9000).map(|height_px| Size { width_px: 400, height_px });
+        sizes.take_while(|&size| bytes(size) <= 64 * MIB).last().unwrap()
+    };
+    let render = |size: Size, options: &str| {
+        let Size { width_px, height_px } = size;
+        bench.line(&format!(
+            "render room.vmap --memory 64MiB --size {width_px}x{height_px} -o a.png {options}"
+        ))
+    };
+    let rows = |height_px| held_bytes(Size { width_px: 400, height_px });
+    assert!(LitMap::held_bytes(n_surfels) > rows(2) - rows(1), "{n_surfels} surfels");
+    let size = largest(held_bytes);
+    render(size, "").ok();
+    let words = ["the light of the map", "--memory"];
+    render(size, "--light room.light --no-mirrors").fails(78, &words);
+    let size = largest(held_bytes_glossy);
+    render(size, "--light room.light --no-mirrors").ok();
+    render(size, "--light room.light").fails(78, &words);
+}
+
+#[test]
+fn a_sky_that_the_plan_leaves_out_is_in_no_mirror() {
+    // The floor mirrors what is seen past the ceiling.
+    let gloss = "[[material]]\nbox = [-1, -1, -1, 1, 1, -0.9]\nalbedo = 0.1\nspecular = 0.8\n";
+    let bench = room();
+    let picture = |name: &str, lights: &str, options: &str| {
+        bench.write("lights.toml", lights);
+        bench.line(&format!("light room.vmap --lights lights.toml -o {name} {options}")).ok();
+        let camera = "--size 40x40 --camera 0,-3,0,0,0,-1 --exposure 0.3";
+        let run = bench.line(&format!("render room.vmap --light {name} {camera} -o a.png")).ok();
+        (bench.read("a.png"), run.stderr)
+    };
+    let (without, told) = picture("a.light", &format!("{LAMP}{gloss}"), "");
+    assert!(!told.contains("planned without"), "{told}");
+    let lights = format!("{LAMP}{gloss}[sky]\nradiance = 1\n");
+    let (with, _) = picture("b.light", &lights, "");
+    assert!(with != without, "the sky is seen in the mirror");
+    let (unwanted, told) = picture("c.light", &lights, "--no sky");
+    assert!(unwanted == without, "the plan leaves the sky out");
+    assert!(told.contains("planned without sky"), "{told}");
+}
+
+#[test]
 fn a_scan_of_one_place_is_lit_from_outside() {
     let bench = Bench::new();
     let row = "2 3 4 0 0 1\n".repeat(5);
