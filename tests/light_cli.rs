@@ -150,6 +150,27 @@ fn irradiance(bench: &Bench, light: &str) -> Vec<f64> {
 }
 
 #[test]
+fn what_a_glow_has_is_told_with_its_plan() {
+    let glow = "[albedo]\nfrom = 0.5\n[[glow]]\nbox = [-0.4, -0.4, 1, 0.41, 0.37, 1]\n";
+    let bench = lit(&format!("{glow}exitance = 10\n"));
+    let light = "light room.vmap --lights lights.toml";
+    let planned = bench.line(&format!("{light} --plan")).ok().stdout;
+    let (n, area) = (number_after(&planned, "\nglow 1:"), number_after(&planned, ", area"));
+    let flux = number_after(&planned, ", flux");
+    assert!(n > 1.0 && (flux / area - 10.0).abs() < 1e-2, "{planned}");
+    // The box has 0.6237 of area; its surfels are whole ones.
+    assert!((area / 0.6237 - 1.0).abs() > 0.02, "{planned}");
+    let run = bench.line(light).ok().stdout;
+    assert!(run.starts_with(&planned), "{planned}{run}");
+    let emitted = number_after(&run, "  flux      ");
+    assert!((emitted / flux - 1.0).abs() < 1e-3, "{run}");
+    bench.write("lights.toml", format!("{glow}flux = [1e-12, 0, 2e7]\n"));
+    let run = bench.line(light).ok().stdout;
+    assert!(run.contains(", flux [1.000e-12, 0, 20000000]"), "{run}");
+    assert!((number_after(&run, " red ") / 1e-12 - 1.0).abs() < 1e-5, "{run}");
+}
+
+#[test]
 fn a_picture_of_light_stays_within_its_memory() {
     let gloss = "[[material]]\nbox = [-1, -1, -1, 1, 1, -0.9]\nspecular = 0.5\nalbedo = 0.5\n";
     let bench = lit(&format!("{LAMP}{gloss}"));
@@ -200,6 +221,41 @@ fn a_sky_that_the_plan_leaves_out_is_in_no_mirror() {
 }
 
 #[test]
+fn sides_that_are_not_known_are_told() {
+    let bench = lit(LAMP);
+    bench.write("bare.ply", room_ply(20).replace("nx", "u").replace("ny", "v").replace("nz", "w"));
+    for (sensor, is_known) in [("", false), ("--sensor 0,0,0", true)] {
+        bench.line(&format!("ingest bare.ply {sensor} -o a.octree --overwrite")).ok();
+        bench.line("build a.octree -o bare.vmap").ok();
+        let run = bench.line("light bare.vmap --lights lights.toml --plan").ok();
+        let words = ["bare.vmap: ", " have no known side", "--sensor x,y,z"];
+        match is_known {
+            true => assert!(!run.stderr.contains(words[1]), "{}", run.stderr),
+            false => drop(run.warns(&words)),
+        }
+    }
+    let run = bench.line("light room.vmap --lights lights.toml --plan").ok();
+    assert!(!run.stderr.contains("no known side"), "{}", run.stderr);
+}
+
+#[test]
+fn the_example_lights_rooms_and_grounds() {
+    let bench = room();
+    let example = bench.line("light --example").ok().stdout;
+    bench.write("lights.toml", example);
+    bench.line("scene empty --points 3000 -o closed.ply").ok();
+    bench.line("ingest closed.ply").ok();
+    bench.line("build closed.octree --max-level 4").ok();
+    for name in ["room", "closed"] {
+        let run = bench.line(&format!("light {name}.vmap --lights lights.toml")).ok();
+        assert!(number_after(&run.stdout, " red ") > 0.0, "{}", run.stdout);
+        let lit = irradiance(&bench, &format!("{name}.light"));
+        let least = lit.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(least > 0.005, "{name}: a surfel gets {least}");
+    }
+}
+
+#[test]
 fn a_scan_of_one_place_is_lit_from_outside() {
     let bench = Bench::new();
     let row = "2 3 4 0 0 1\n".repeat(5);
@@ -215,6 +271,24 @@ fn a_scan_of_one_place_is_lit_from_outside() {
         let found = irradiance(&bench, "one.light");
         assert!((found[0] / expected - 1.0).abs() < 1e-6, "{light}: {found:?}");
     }
+}
+
+#[test]
+fn what_a_spot_gives_arrives_however_narrow_it_is() {
+    let bench = room();
+    for angle in ["1e-3", "1e-6", "1e-7"] {
+        let spot = "[[spot]]\nposition = [0.01, 0.02, 0.5]\ndirection = [0.1, 0.2, -1]\nflux = 10";
+        bench.write("lights.toml", format!("[albedo]\nfrom = 0\n{spot}\nangle = {angle}\n"));
+        let run = bench.line("light room.vmap --lights lights.toml").ok();
+        assert!(!run.stderr.contains("lamps give"), "{angle}: {}", run.stderr);
+        let arrives = number_after(&run.stdout, "  flux      ");
+        assert!((arrives / 10.0 - 1.0).abs() < 0.01, "{angle}: {}", run.stdout);
+    }
+    // Of so narrow a cone nothing is left to say of.
+    let spot = "[[spot]]\nposition = [0, 0, 0.5]\ndirection = [0, 0, -1]\nintensity = 10";
+    bench.write("lights.toml", format!("{spot}\nangle = 1e-200\n"));
+    let run = bench.line("light room.vmap --lights lights.toml").ok();
+    assert!(!run.stderr.contains("NaN") && !run.stdout.contains("NaN"), "{run:?}");
 }
 
 #[test]
