@@ -44,6 +44,7 @@ mod classes;
 pub mod config;
 mod error;
 mod export;
+mod figures;
 mod ingest;
 mod light_file;
 mod light_map;
@@ -66,6 +67,7 @@ pub use export::{
     ExportLight, ExportRequest, Exported, Made, PlaceAnswer, PointField, PointsFile, begin_file,
     begin_table, export_points, export_surfels, write_points, write_surfels,
 };
+pub use figures::in_digits;
 pub use ingest::{IngestRequest, Ingested, default_output as default_octree, ingest, is_input};
 pub use light_file::{LightChannel, LightContent, write_light};
 pub use light_map::{LightDone, LightReport, LightRequest, light_map, light_map_telling};

@@ -14,8 +14,9 @@ use pvmap_vmap::light::Factors;
 use pvmap_vmap::{FormatError, LightSummary, LightView, MapView};
 
 use crate::build::open_octree;
+use crate::figures::in_digits;
 use crate::light_file::check_output;
-use crate::lights::{Assigned, Lights, majority_classes};
+use crate::lights::{Assigned, Glowing, Lights, majority_classes};
 use crate::{Error, LightChannel, LightContent, Limits, require_light, write_light};
 
 /// What is to be lit, and where its light goes.
@@ -40,8 +41,12 @@ pub struct LightRequest {
 pub struct LightReport {
     /// The decisions.
     pub plan: Plan,
+    /// What glows were found to be, in their order.
+    pub glows: Vec<Glowing>,
     /// What was noticed in the lights.
     pub notes: Vec<String>,
+    /// What was noticed in the map.
+    pub map_notes: Vec<String>,
     /// What was noticed once they shone.
     pub notes_after: Vec<String>,
     /// Surfels.
@@ -113,8 +118,9 @@ fn run(
     let elements = Elements::with_areas(map.view(), &areas).map_err(fail)?;
     let n_without_normal = elements.n_without_normal();
     let classes = classes_of(request, &lights, map.view(), watch)?;
-    let Assigned { materials, lamps, sky, notes } =
+    let Assigned { materials, lamps, sky, glows, notes } =
         lights.assign(map.view(), &elements, classes.as_deref())?;
+    let map_notes = note_of_sides(&elements).into_iter().collect();
     let gloss = materials.gloss.clone();
     let given = lamps.clone();
     let beside = request.output.as_deref().map(|output| folder_of(output).to_path_buf());
@@ -130,7 +136,9 @@ fn run(
     notes.extend(note_of_spacing(map.view()).map_err(|e| Error::artifact(&request.map, e))?);
     let mut report = LightReport {
         plan: planned.plan.clone(),
+        glows,
         notes,
+        map_notes,
         notes_after: Vec::new(),
         n_surfels,
         n_without_normal,
@@ -178,6 +186,26 @@ fn factors_of(
     let (areas, scale): (Vec<f64>, Vec<f64>) = rows.map_err(damaged)?;
     let LightSummary { row_error, error_target, .. } = *view.summary();
     Ok((areas, Scaling { scale, row_error, error: error_target }))
+}
+
+/// The share of the area that may have no known side, untold.
+const UNTOLD_SIDES: f64 = 0.1;
+
+/// Says of how much of the scan it is not known which side was seen, where that is much.
+fn note_of_sides(elements: &Elements) -> Option<String> {
+    let all = || (0..elements.len()).map(|i| elements.get(i)).filter(|e| e.normal != [0.0; 3]);
+    let (n, whole) = (all().count(), all().map(|e| e.area).sum::<f64>());
+    let unknown = || all().filter(|e| e.two_sided);
+    let share = unknown().map(|e| e.area).sum::<f64>() / whole;
+    let n_unknown = unknown().count();
+    (share > UNTOLD_SIDES).then(|| {
+        format!(
+            "{n_unknown} of {n} surfels, {:.0} % of the area, have no known side: light comes and \
+             goes on both, and a closed room may count as open; pvmap ingest --sensor x,y,z \
+             (where the scanner stood) or --up tells it",
+            100.0 * share
+        )
+    })
 }
 
 /// The share of the flux of lamps that may go elsewhere, or come from nowhere, untold.
@@ -229,13 +257,15 @@ fn note_of_flux(lamps: &[Lamp], arrives: [f64; 3]) -> Option<String> {
         return is_dark.then(|| "nothing of the light of sun and lamps arrives".to_owned());
     };
     let given: [f64; 3] = [0, 1, 2].map(|c| given.iter().map(|flux| flux[c]).sum());
-    let share = total(arrives) / total(given);
+    let (given_all, arrives_all) = (total(given), total(arrives));
+    // Of a cone of next to no angle nothing may be left.
+    let share = if given_all > 0.0 { arrives_all / given_all } else { 1.0 };
     if !shines || (share - 1.0).abs() <= UNTOLD {
         return None;
     }
-    let told = |flux: [f64; 3]| match flux {
-        [r, g, b] if r == g && g == b => format!("{r:.4}"),
-        [r, g, b] => format!("[{r:.4}, {g:.4}, {b:.4}]"),
+    let told = |flux: [f64; 3]| match flux.map(|v| in_digits(v, 6)) {
+        [r, g, b] if r == g && g == b => r,
+        [r, g, b] => format!("[{r}, {g}, {b}]"),
     };
     let why = match share {
         0.0 => "; is it inside a wall, or turned away?",

@@ -9,7 +9,7 @@ use pvmap_geometry::grid::GRID_MAX;
 use pvmap_light::{Effect, Elements, Glimpse, Glimpses, Gloss, LightError, Plan, SeenAt, Sky};
 use pvmap_query::Map;
 use pvmap_store::{StoreError, Watch};
-use pvmap_vmap::{FormatError, LightView};
+use pvmap_vmap::{LightView, MapSummary};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -41,15 +41,16 @@ pub struct Gaze {
 }
 
 /// Lists what pictures of a light leave out because its plan did, though surfels mirror or let
-/// light through. A file that does not say leaves out nothing.
+/// light through: these, and a sky that shines. A file that does not say leaves out nothing.
 ///
 /// # Errors
-/// Where it is damaged.
-pub fn left_out(light: &LightView<'_>) -> Result<Vec<Effect>, FormatError> {
+/// Where it, at this path, is damaged.
+pub fn left_out((path, light): (&Path, &LightView<'_>)) -> Result<Vec<Effect>, Error> {
     if !light.has_gloss() {
         return Ok(Vec::new());
     }
-    let plan = light.plan()?;
+    let damaged = |e| Error::artifact(path, e);
+    let plan = light.plan().map_err(damaged)?;
     let mut left_out = Vec::new();
     for effect in [Effect::MirrorView, Effect::Refraction] {
         let share = |gloss: Gloss| match effect {
@@ -59,11 +60,21 @@ pub fn left_out(light: &LightView<'_>) -> Result<Vec<Effect>, FormatError> {
         let mut ids = 0..light.summary().n_surfels;
         let is_some = |id| Ok(light.gloss(id)?.is_some_and(|gloss| share(gloss) > 0.0));
         let is_off = Plan::said_of(plan, effect) == Some(false);
-        if is_off && ids.try_fold(false, |any, id| Ok(any || is_some(id)?))? {
+        if is_off && ids.try_fold(false, |any, id| Ok(any || is_some(id)?)).map_err(damaged)? {
             left_out.push(effect);
         }
     }
+    let shines = |sky: &Sky| sky.radiance.iter().any(|&l| l > 0.0);
+    let is_off = Plan::said_of(plan, Effect::Sky) == Some(false);
+    if is_off && sky_of((path, light))?.is_some_and(|sky| shines(&sky)) {
+        left_out.push(Effect::Sky);
+    }
     Ok(left_out)
+}
+
+/// Reads the sky that a light was made with.
+fn sky_of((path, light): (&Path, &LightView<'_>)) -> Result<Option<Sky>, Error> {
+    Ok(Lights::parse(light.lights().map_err(|e| Error::artifact(path, e))?)?.sky())
 }
 
 impl<'a> Mirrors<'a> {
@@ -81,7 +92,7 @@ impl<'a> Mirrors<'a> {
             return Ok(None);
         }
         let damaged = |e| Error::artifact(path, e);
-        let left_out = left_out(light).map_err(damaged)?;
+        let left_out = left_out((path, light))?;
         let is_out = |effect| left_out.contains(&effect);
         let as_planned = |gloss: Gloss| Gloss {
             specular: if is_out(Effect::MirrorView) { 0.0 } else { gloss.specular },
@@ -98,8 +109,13 @@ impl<'a> Mirrors<'a> {
         let fail = |e| of_light(path, e);
         let elements = Elements::with_areas(map.view(), &lit.areas()).map_err(fail)?;
         let glimpses = Glimpses::new(map, elements, gloss).map_err(fail)?;
-        let sky = Lights::parse(light.lights().map_err(damaged)?)?.sky();
+        let sky = sky_of((path, light))?.filter(|_| !is_out(Effect::Sky));
         Ok(Some(Mirrors { map, lit, glimpses, sky }))
+    }
+
+    /// Gives the bytes that the mirrors of such a map hold in memory, about.
+    pub fn held_bytes(summary: &MapSummary) -> u64 {
+        Glimpses::held_bytes(summary.n_surfels, summary.n_nodes)
     }
 
     /// Says whether a surfel mirrors or lets light through.

@@ -28,7 +28,26 @@ fn the_example_is_read_and_its_text_says_the_same() {
     assert!(!lights.needs_classes());
     assert!(Lights::parse("[[glow]]\nclass = 6\nflux = 1").unwrap().needs_classes());
     assert!(Lights::parse("[[material]]\nclass = 2\nalbedo = 1").unwrap().needs_classes());
-    assert_ne!(lights, Lights::parse(&EXAMPLE.replace("flux = 40", "flux = 41")).unwrap());
+    assert_ne!(
+        lights,
+        Lights::parse(&EXAMPLE.replace("elevation = 35", "elevation = 36")).unwrap()
+    );
+}
+
+#[test]
+fn what_the_example_has_commented_out_is_right_too() {
+    // Words have a blank behind the #.
+    let all = EXAMPLE.replace("\n#[", "\n[");
+    let lines = all.lines().map(|line| match line.strip_prefix('#') {
+        Some(rule) if rule.starts_with(|c: char| c.is_ascii_lowercase()) => rule,
+        _ => line,
+    });
+    let all = lines.collect::<Vec<_>>().join("\n");
+    let text = Lights::parse(&all).unwrap().to_text();
+    let n = |header: &str| text.matches(header).count();
+    let kinds = ["[albedo]", "[sun]", "[sky]", "[[point]]", "[[spot]]", "[[area]]"];
+    assert!(kinds.iter().all(|kind| n(kind) == 1), "{text}");
+    assert_eq!((n("[[glow]]"), n("[[material]]")), (3, 2), "{text}");
 }
 
 /// A text of random rules, and how many.
@@ -344,6 +363,15 @@ fn flux_is_spread_over_areas_and_light_adds_up() {
         assert!((sum - expected).abs() <= 1e-12 * expected, "{sum}, {expected}");
     }
     assert_eq!(assigned.notes, [] as [&str; 0]);
+    let n_shining = hall.classes.iter().filter(|&&class| class == 6).count();
+    for (glow, flux) in assigned.glows.iter().zip([[100.0, 50.0, 0.0], [3.0 * area; 3]]) {
+        assert!(
+            glow.n_surfels == n_shining && (glow.area - area).abs() <= 1e-12 * area,
+            "{glow:?}"
+        );
+        assert!((0..3).all(|c| (glow.flux[c] - flux[c]).abs() <= 1e-12 * flux[c]), "{glow:?}");
+    }
+    assert_eq!(assigned.glows.len(), 2);
     assert_eq!(hall.assign(text).unwrap(), assigned);
     let again = Lights::parse(text).unwrap().to_text();
     assert_eq!(hall.assign(&again).unwrap(), assigned);
@@ -392,7 +420,9 @@ fn surfels_without_a_colour_get_what_is_said_for_them() {
     let found = lights.assign(&map, &elements, None).unwrap();
     assert!(found.materials.channels.iter().flat_map(|c| &c.albedo).all(|&v| v == 0.25));
     let n = elements.len();
-    assert_eq!(found.notes, [format!("{n} of {n} surfels have no colour: albedo 0.25")]);
+    let black = "a scan that is black all over counts as without";
+    let expected = format!("{n} of {n} surfels have no colour ({black}): albedo 0.25");
+    assert_eq!(found.notes, [expected]);
     let by_class = Lights::parse("\n[[glow]]\nclass = 6\nflux = 1").unwrap();
     let error = by_class.assign(&map, &elements, None).unwrap_err();
     assert!(error.exit_code() == 2 && error.to_string().starts_with("2:1: "), "{error}");
@@ -407,16 +437,12 @@ fn later_materials_win_and_what_mirrors_scatters_less() {
     let hall = Hall::new();
     let text = "[[material]]\nall = true\nalbedo = [0.8, 0.4, 0.2]\n\
                 [[material]]\nclass = 6\nspecular = 0.5\nrefraction = 1.5\n\
-                [[material]]\nclass = 99\nalbedo = 0\n\
                 [[point]]\nposition = [5, 5, 5]\nflux = 1\n";
     let found = hall.assign(text).unwrap();
     let n_glossy = hall.classes.iter().filter(|&&class| class == 6).count();
     assert_eq!(
         found.notes,
-        [
-            "material 3 (line 8) selects no surfel".to_owned(),
-            format!("{n_glossy} surfels: albedo lowered to 1 - specular - transmissive"),
-        ]
+        [format!("{n_glossy} surfels: albedo lowered to 1 - specular - transmissive")]
     );
     for (i, &class) in hall.classes.iter().enumerate() {
         let albedo = [0, 1, 2].map(|c: usize| found.materials.channels[c].albedo[i]);
@@ -438,7 +464,7 @@ fn later_materials_win_and_what_mirrors_scatters_less() {
 }
 
 #[test]
-fn a_glow_without_a_surfel_says_what_there_is() {
+fn a_rule_without_a_surfel_says_what_there_is() {
     let hall = Hall::new();
     for (selection, what) in [
         ("box = [50, 0, 0, 60, 10, 10]", "the scan's lie from 0."),
@@ -446,10 +472,14 @@ fn a_glow_without_a_surfel_says_what_there_is() {
         ("class = 7", "are of class 2, 6"),
         ("color = \"#0000ff\"\nwithin = 0.1", "the nearest colour of one is 0.9"),
     ] {
-        let error = hall.assign(&format!("# so\n[[glow]]\n{selection}\nflux = 1")).unwrap_err();
-        let message = error.to_string();
-        assert!(message.starts_with("2:1: glow 1 selects no surfel; "), "{message}");
-        assert!(message.contains(what) && error.exit_code() == 78, "{message}");
+        for (rule, says) in [("glow", "flux = 1"), ("material", "albedo = 0.1")] {
+            let text = format!("# so\n[[{rule}]]\n{selection}\n{says}");
+            let error = hall.assign(&text).unwrap_err();
+            let message = error.to_string();
+            let begin = format!("2:1: {rule} 1 selects no surfel; ");
+            assert!(message.starts_with(&begin), "{message}");
+            assert!(message.contains(what) && error.exit_code() == 78, "{message}");
+        }
     }
     let too_much = "[[glow]]\nall = true\nexitance = 1e30\n".repeat(2);
     let error = hall.assign(&too_much).unwrap_err();
@@ -475,12 +505,18 @@ fn lamps_have_the_flux_that_is_said() {
     let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
     let [point, half, cone, area, sun] = found.lamps[..] else { panic!("{:?}", found.lamps) };
     assert!(matches!(point, Lamp::Point { intensity: [i, ..], .. } if near(i, 1.0 / PI)));
-    let Lamp::Spot { direction, cos_cone, intensity, .. } = half else { panic!("{half:?}") };
-    assert_eq!((direction, cos_cone), ([0.0, 0.0, -1.0], 0.0));
+    let Lamp::Spot { direction, angle, intensity, .. } = half else { panic!("{half:?}") };
+    assert_eq!((direction, angle), ([0.0, 0.0, -1.0], PI / 2.0));
     assert!(near(intensity[1], 2.0 / PI), "a half space has 2π");
-    let Lamp::Spot { direction, cos_cone, intensity, .. } = cone else { panic!("{cone:?}") };
-    assert!(near(cos_cone, 0.5) && near(direction[1], 0.6) && near(direction[2], 0.8));
+    let Lamp::Spot { direction, angle, intensity, .. } = cone else { panic!("{cone:?}") };
+    assert!(near(angle, PI / 3.0) && near(direction[1], 0.6) && near(direction[2], 0.8));
     assert_eq!(intensity, [4.0; 3]);
+    // However narrow a cone is, and a single direction would be.
+    for degrees in [1e-3, 1e-6, 1e-7, 1e-12] {
+        let spot = "[[spot]]\nposition = [1, 2, 3]\ndirection = [0, 0, -1]\nflux = 10";
+        let narrow = hall.assign(&format!("{spot}\nangle = {degrees:?}\n")).unwrap().lamps[0];
+        assert!(near(narrow.flux().unwrap()[0], 10.0), "{degrees}: {narrow:?}");
+    }
     assert!(matches!(area, Lamp::Area { exitance: [2.0, 2.0, 2.0], .. }));
     // East is +x.
     let expected = Lamp::Sun { direction: [1.0, 0.0, 0.0], irradiance: [3.0, 2.0, 1.0] };

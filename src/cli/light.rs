@@ -7,11 +7,11 @@ use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 
 use pvmap::light::{Effect, LightOptions, Wishes};
-use pvmap::lights::EXAMPLE;
+use pvmap::lights::{EXAMPLE, Glowing};
 use pvmap::query::Map;
 use pvmap::vmap::LightSummary;
 use pvmap::vmap::octree::FILE_NAME;
-use pvmap::{Error, LightDone, LightReport, LightRequest, Limits, Watch};
+use pvmap::{Error, LightDone, LightReport, LightRequest, Limits, Watch, in_digits};
 
 use super::{Context, Outcome, map_file, mib, refuse_input, threads_parser};
 use crate::progress::StageDone;
@@ -23,14 +23,15 @@ pvmap light [OPTIONS] --lights <FILE.toml> <NAME.vmap>
        pvmap light --example")]
 #[command(after_help = "\
 What shines and what reflects stands in a TOML file, colours as one number or [r, g, b] in linear
-light or \"#rrggbb\", places in the scan's units; --example prints one with all keys:
+light or \"#rrggbb\", places in the scan's units; --example prints one that lights any scan, with
+all other keys commented out:
   [albedo]                      what surfaces reflect
   from = \"scan\"                 the scan's colours, or a number or colour for all; of the scan's:
   exposure = 1.0                how many times as bright; max (0.95) is the most, missing (0.5)
                                 is that of surfels without a colour
   [[glow]]                      a part of the scan that shines
   box = [2, 2, 5.4, 3.5, 3.5, 5.6]    or sphere, class, color with within, near
-  exitance = 12                 flux an area, or flux = 100 in all
+  flux = 100                    in all, or exitance, flux an area
   [[material]]                  what a part of the scan is, the same choices or all = true
   near = [1, 2, 0.5]
   albedo = 0.1
@@ -54,11 +55,16 @@ light or \"#rrggbb\", places in the scan's units; --example prints one with all 
   [sky]
   radiance = [0.2, 0.3, 0.5]    up = [x, y, z] where that is not +z
 
+A rule takes whole surfels, those whose middles it selects: where a box cuts some, flux is what is
+meant and exitance times the area of the box is not. What each glow has is printed: surfels, their
+area in the scan's units, flux. A rule that selects none is an error.
+
 Before anything is solved it is planned and printed which effects the scene calls for, each with the
-share of all light that is lost without it at the most, its cost and the evidence; --plan stops
-there. Effects: direct, sky, occlusion, bounces, color, mirror-view, refraction, caustics,
-diffuse-specular-diffuse, near-field, order. Pictures keep to the plan, too: what was made with
---no mirror-view or --no refraction shows no mirrors or nothing through glass.
+share of all light that is lost without it at the most, as far as is known, its cost and the
+evidence; --plan stops there. Effects: direct, sky, occlusion, bounces, color, mirror-view,
+refraction, caustics, diffuse-specular-diffuse, near-field, order. Pictures keep to the plan, too:
+what was made with --no mirror-view, --no refraction or --no sky shows no mirrors, nothing through
+glass or no sky in them.
 
 The result says of every surfel what it emits (E), what arrives (H) and what leaves it
 (B = E + albedo H), flux an area in the unit of the lights. The same map and lights give the same
@@ -77,7 +83,7 @@ pub(super) struct Args {
     /// What shines and what reflects, see below
     #[arg(long, value_name = "FILE.toml", required_unless_present = "example")]
     lights: Option<PathBuf>,
-    /// Print a lights file with all that one may hold, and what it means
+    /// Print a lights file for any scan, with all that one may hold
     #[arg(long, exclusive = true)]
     example: bool,
     /// The octree of the map, for rules by class
@@ -152,8 +158,9 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         // The bar must be gone before.
         let stages = context.progress.take_stages();
         notes(lights, &report.notes, context);
+        notes(map, &report.map_notes, context);
         let mut out = io::stdout().lock();
-        let printed = write!(out, "{}", report.plan).and_then(|()| out.flush());
+        let printed = write!(out, "{}{}", report.plan, glows(report)).and_then(|()| out.flush());
         *told.lock().unwrap_or_else(PoisonError::into_inner) = (stages, printed);
     };
     let report = pvmap::light_map_telling(&request, &limits, &tell, &context.progress)?;
@@ -180,11 +187,24 @@ fn check(args: &Args, map: &Path, lights: &Path, output: &Path) -> Result<(), Er
     refuse_input(output, &inputs)
 }
 
-/// Tells what was noticed, with or without progress.
-fn notes(lights: &Path, notes: &[String], context: &Context) {
+/// Tells what was noticed in a file, with or without progress.
+fn notes(path: &Path, notes: &[String], context: &Context) {
     for note in notes {
-        context.progress.warn(&format!("{}: {note}", lights.display()));
+        context.progress.warn(&format!("{}: {note}", path.display()));
     }
+}
+
+/// Says what each glow is, a line each: it has whole surfels, whatever a box cuts.
+fn glows(report: &LightReport) -> String {
+    let color = |flux: [f64; 3]| match flux.map(|v| in_digits(v, 4)) {
+        [r, g, b] if r == g && g == b => r,
+        [r, g, b] => format!("[{r}, {g}, {b}]"),
+    };
+    let line = |(index, glow): (usize, &Glowing)| {
+        let (number, n, area) = (index + 1, glow.n_surfels, in_digits(glow.area, 4));
+        format!("glow {number}: {n} surfels, area {area}, flux {}\n", color(glow.flux))
+    };
+    report.glows.iter().enumerate().map(line).collect()
 }
 
 fn wishes(args: &Args) -> Result<Wishes, Error> {
@@ -281,7 +301,7 @@ fn errors(summary: &LightSummary) -> Vec<String> {
         ("left to solve", summary.residual, ""),
     ];
     let told = told.into_iter().filter(|told| told.1 > LEAST_TOLD);
-    told.map(|(what, off, at)| format!("{what} {} %{at}", two_digits(100.0 * off))).collect()
+    told.map(|(what, off, at)| format!("{what} {} %{at}", in_digits(100.0 * off, 2))).collect()
 }
 
 /// Says what became of the flux of a channel.
@@ -291,11 +311,6 @@ fn flux(&[emitted, absorbed, escaped, _]: &[f64; 4]) -> String {
     }
     let share = |flux: f64| 100.0 * flux / emitted;
     let (absorbed, escaped) = (share(absorbed), share(escaped));
-    format!("{emitted:.6} shines or arrives: {absorbed:.2} % absorbed, {escaped:.2} % escaped")
-}
-
-/// Writes a number in two digits.
-fn two_digits(value: f64) -> String {
-    let places = (1.0 - value.abs().log10().floor()).max(0.0) as usize;
-    format!("{value:.places$}")
+    let emitted = in_digits(emitted, 7);
+    format!("{emitted} shines or arrives: {absorbed:.2} % absorbed, {escaped:.2} % escaped")
 }

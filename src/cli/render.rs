@@ -114,7 +114,7 @@ fn of_octree(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Resul
     let splats = clipped(args, Box::new(splats), frame);
     let seen_from = camera::view_of(args, &*splats, frame).map_err(fail)?;
     let camera = Camera::new(&seen_from, args.size, frame).map_err(fail)?;
-    let picture = draw(args, &*splats, &camera, context).map_err(fail)?;
+    let picture = draw(args, &*splats, &camera, (args.memory, context)).map_err(fail)?;
     camera::tell(args, &seen_from, context);
     Ok(picture)
 }
@@ -167,12 +167,15 @@ fn of_map(args: &Args, path: &Path, bytes: &[u8], context: &Context) -> Result<P
     let paint = is_glossy.iter().fold(paint, |paint, of| paint.glossy_where(of));
     let ends = paint.values().map(|values| (values.min, values.max));
     let splats = splats_of(args, view, drawn, paint).map_err(fail)?;
+    let lit_bytes = light.as_ref().map_or(0, |_| light::lit_bytes(view, mirrors.is_some()));
+    // There is as much: light and mirrors were asked for before they were read.
+    let spare = (args.memory.saturating_sub(lit_bytes), context);
     let mut picture = match (&light, &mirrors) {
         (Some(light), Some(mirrors)) => {
-            let drawn = draw_glossy(args, &*splats, &camera, context).map_err(fail)?;
+            let drawn = draw_glossy(args, &*splats, &camera, spare).map_err(fail)?;
             light.look((path, mirrors), &camera, drawn, context)?
         }
-        _ => draw(args, &*splats, &camera, context).map_err(fail)?,
+        _ => draw(args, &*splats, &camera, spare).map_err(fail)?,
     };
     if let Some(eye) = &eye
         && !picture.mark(&camera, eye.place, eye.distance, MARK)
@@ -254,11 +257,11 @@ fn draw(
     args: &Args,
     splats: &dyn Source,
     camera: &Camera,
-    context: &Context,
+    (memory_bytes, context): (u64, &Context),
 ) -> Result<Picture, RenderError> {
     let style = style_of(args, splats)?;
     telling(context, 2 * splats.n_splats(), |tell| {
-        render(splats, camera, &style, args.memory, tell)
+        render(splats, camera, &style, memory_bytes, tell)
     })
 }
 
@@ -266,11 +269,11 @@ fn draw_glossy(
     args: &Args,
     splats: &dyn Source,
     camera: &Camera,
-    context: &Context,
+    (memory_bytes, context): (u64, &Context),
 ) -> Result<(Picture, Vec<Glossy>), RenderError> {
     let style = style_of(args, splats)?;
     telling(context, 3 * splats.n_splats(), |tell| {
-        render_glossy(splats, camera, &style, args.memory, tell)
+        render_glossy(splats, camera, &style, memory_bytes, tell)
     })
 }
 

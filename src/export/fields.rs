@@ -82,8 +82,8 @@ impl PointField {
             PointField::Normal => ("normal", "normal in the map"),
             PointField::Record => ("record", "its number in its scan"),
             PointField::Source => ("source", "number of its scan"),
-            PointField::Radiosity => ("radiosity", "light that leaves, flux an area"),
-            PointField::Irradiance => ("irradiance", "light that arrives, flux an area"),
+            PointField::Radiosity => ("radiosity", "light leaving, flux an area"),
+            PointField::Irradiance => ("irradiance", "light arriving, flux an area"),
             PointField::SkyView => ("sky_view", "share of open sky, 0 to 1"),
         };
         (name, words.to_owned())
@@ -363,6 +363,25 @@ pub(super) fn unit(normal: &Normal) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_fields_are_fits_the_descriptors_of_a_las() {
+        // LAS 1.4, table 24: 32 bytes, the last one zero.
+        for field in [
+            PointField::SeesCount,
+            PointField::Leaf,
+            PointField::Level,
+            PointField::Bin,
+            PointField::Normal,
+            PointField::Record,
+            PointField::Source,
+            PointField::Radiosity,
+            PointField::Irradiance,
+            PointField::SkyView,
+        ] {
+            assert!(field.title().1.len() < 32, "{field:?}");
+        }
+    }
 
     #[test]
     fn fields_of_one_kind_have_names_of_their_own() {

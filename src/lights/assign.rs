@@ -20,8 +20,21 @@ pub struct Assigned {
     pub lamps: Vec<Lamp>,
     /// The sky.
     pub sky: Option<Sky>,
-    /// What is worth telling, a line each: rules that select nothing, colours that are missing.
+    /// What each glow was found to be, in their order.
+    pub glows: Vec<Glowing>,
+    /// What is worth telling, a line each: colours that are missing, surfels that cannot shine.
     pub notes: Vec<String>,
+}
+
+/// A part of the scan that shines, as it was found: whole surfels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Glowing {
+    /// Surfels that shine.
+    pub n_surfels: usize,
+    /// Their area, square world units.
+    pub area: f64,
+    /// What they emit by this rule: red, green and blue.
+    pub flux: [f64; 3],
 }
 
 /// The surfels that rules select from.
@@ -59,9 +72,9 @@ impl Lights {
     /// rules by class.
     ///
     /// # Errors
-    /// Where a glow selects no surfel that can shine, a rule by class has no classes, materials
-    /// mirror and let through more than arrives, a flux is too much for its area, the counts differ
-    /// or the map is damaged.
+    /// Where a rule selects no surfel, a glow none that can shine, a rule by class has no classes,
+    /// materials mirror and let through more than arrives, a flux is too much for its area, the
+    /// counts differ or the map is damaged.
     pub fn assign(
         &self,
         map: &MapView<'_>,
@@ -78,7 +91,7 @@ impl Lights {
         let surfels = Surfels { frame: &map.frame().frame, all, classes };
         let mut notes = Vec::new();
         let made = self.made(&surfels, &mut notes)?;
-        let emission = self.emission(&surfels, elements, &mut notes)?;
+        let (emission, glows) = self.emission(&surfels, elements, &mut notes)?;
         let rules = &self.rules;
         let sun = rules.sun.iter().map(Sun::lamp);
         let lamps: Vec<Lamp> = rules.lamps.iter().map(LampRule::lamp).chain(sun).collect();
@@ -112,26 +125,23 @@ impl Lights {
         };
         let gloss = if is_glossy { made.gloss.iter().map(as_gloss).collect() } else { Vec::new() };
         let materials = Materials { channels: [0, 1, 2].map(channel), gloss };
-        Ok(Assigned { materials, lamps, sky, notes })
+        Ok(Assigned { materials, lamps, sky, glows, notes })
     }
 
-    /// Adds up what glows emit: exitance by surfel.
+    /// Adds up what glows emit: exitance by surfel, and what each of them is.
     fn emission(
         &self,
         surfels: &Surfels<'_>,
         elements: &Elements,
         notes: &mut Vec<String>,
-    ) -> Result<Vec<Rgb>, Error> {
+    ) -> Result<(Vec<Rgb>, Vec<Glowing>), Error> {
         let mut emission = vec![[0.0; 3]; surfels.all.len()];
+        let mut glows = Vec::new();
         for (i, (Glow { on, power }, mark)) in
             self.rules.glows.iter().zip(&self.glows_at).enumerate()
         {
             let refuse = |what: String| Err(Error::Config(format!("{}{what}", mark.prefix)));
-            let selected = surfels.selected(on, mark)?;
-            if selected.is_empty() {
-                let there = surfels.what_there_is(on);
-                return refuse(format!("glow {} selects no surfel; {there}", i + 1));
-            }
+            let selected = surfels.some_selected(on, mark, &format!("glow {}", i + 1))?;
             let (shining, dark): (Vec<usize>, Vec<usize>) =
                 selected.into_iter().partition(|&id| surfels.all[id].normal != [0; 3]);
             let (n_dark, n) = (dark.len(), dark.len() + shining.len());
@@ -145,6 +155,8 @@ impl Lights {
             }
             let area: f64 = shining.iter().map(|&id| elements.areas()[id]).sum();
             let exitance = power.over(area);
+            let flux = exitance.map(|v| v * area);
+            glows.push(Glowing { n_surfels: shining.len(), area, flux });
             for id in shining {
                 emission[id] = [0, 1, 2].map(|c| emission[id][c] + exitance[c]);
                 if emission[id].iter().any(|&v| v > MAX_LIGHT) {
@@ -156,7 +168,7 @@ impl Lights {
                 }
             }
         }
-        Ok(emission)
+        Ok((emission, glows))
     }
 
     /// Lays materials over the albedo of the scan.
@@ -165,11 +177,7 @@ impl Lights {
         let (albedo, origin): (Vec<Rgb>, Vec<Origin>) = of_scan.unzip();
         let mut made = Made { gloss: vec![[0.0; 3]; albedo.len()], albedo, origin };
         for (i, (rule, mark)) in self.rules.materials.iter().zip(&self.materials_at).enumerate() {
-            let selected = surfels.selected(&rule.on, mark)?;
-            if selected.is_empty() {
-                notes.push(format!("material {} (line {}) selects no surfel", i + 1, mark.line));
-            }
-            for id in selected {
+            for id in surfels.some_selected(&rule.on, mark, &format!("material {}", i + 1))? {
                 made.lay(id, rule);
                 let [specular, transmissive, _] = made.gloss[id];
                 let sum = specular + transmissive;
@@ -212,7 +220,11 @@ impl Made {
         if n_missing > 0 {
             let [r, g, b] = missing;
             let missing = if r == g && g == b { format!("{r}") } else { format!("{missing:?}") };
-            notes.push(format!("{n_missing} of {n} surfels have no colour: albedo {missing}"));
+            // Files have fields of zeros where a scanner took no pictures.
+            let black = "a scan that is black all over counts as without";
+            notes.push(format!(
+                "{n_missing} of {n} surfels have no colour ({black}): albedo {missing}"
+            ));
         }
         if n_cut > 0 {
             notes.push(format!("{n_cut} of {n} surfels are brighter than albedo {max}: cut to it"));
@@ -289,6 +301,18 @@ impl Surfels<'_> {
                 (0..classes.len()).filter(|&id| classes[id] == class).collect()
             }
         })
+    }
+
+    /// Lists what a rule of this name selects, and refuses one that selects nothing: it would not
+    /// do what is said.
+    fn some_selected(&self, on: &Selection, mark: &Mark, name: &str) -> Result<Vec<usize>, Error> {
+        let selected = self.selected(on, mark)?;
+        if selected.is_empty() {
+            let there = self.what_there_is(on);
+            let what = format!("{}{name} selects no surfel; {there}", mark.prefix);
+            return Err(Error::Config(what));
+        }
+        Ok(selected)
     }
 
     fn holding(&self, holds: impl Fn(&Surfel) -> bool) -> Vec<usize> {

@@ -15,7 +15,7 @@ use std::path::Path;
 pub use crate::classes::majority_classes;
 use crate::config::read_text;
 use crate::{Error, lights::table::Fault};
-pub use assign::Assigned;
+pub use assign::{Assigned, Glowing};
 use pvmap_light::Sky;
 use rules::{Albedo, Rules, Selection, unit};
 

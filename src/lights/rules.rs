@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
-use pvmap_light::{Lamp, Sky};
+use pvmap_light::{Lamp, Sky, solid_angle_of_cone};
 
 /// Red, green and blue in linear light.
 pub(super) type Rgb = [f64; 3];
@@ -129,14 +129,9 @@ impl LampRule {
                     Aim::Direction(along) => along,
                     Aim::Target(target) => [0, 1, 2].map(|i| target[i] - position[i]),
                 };
-                // 2π(1 - cos a), without the difference, which loses narrow cones.
-                let solid_angle = 4.0 * PI * (angle / 2.0).to_radians().sin().powi(2);
-                Lamp::Spot {
-                    position,
-                    direction: unit(along),
-                    cos_cone: cos_degrees(angle),
-                    intensity: power.over(solid_angle),
-                }
+                let angle = angle.to_radians();
+                let intensity = power.over(solid_angle_of_cone(angle));
+                Lamp::Spot { position, direction: unit(along), angle, intensity }
             }
             LampRule::Area { corner, sides, power } => {
                 let exitance = power.over(length(cross(sides[0], sides[1])));

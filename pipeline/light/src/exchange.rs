@@ -17,7 +17,7 @@ use crate::fmm::walk::{Pairs, Walk};
 use crate::hierarchy::{Hierarchy, Links, Span, Subtree};
 use crate::kernel::Kernel;
 use crate::lists::{Lengths, Lists};
-use crate::near_field::{Corrections, corrections};
+use crate::near_field::{Correction, Corrections};
 use crate::passes::Passes;
 use crate::precision::Precision;
 use crate::sum::sum;
@@ -264,10 +264,9 @@ impl Exchange {
     }
 
     /// Takes some pairs of elements, each once, by quadrature instead of by their middles.
-    pub(crate) fn with_near_field(mut self, pairs: &[[u32; 2]]) -> Result<Exchange, LightError> {
-        let found = corrections(&self.elements, self.kernel, pairs)?;
-        self.corrections = Corrections::of(self.elements.len(), &found);
-        Ok(self)
+    pub(crate) fn with_near_field(mut self, found: &[Correction]) -> Exchange {
+        self.corrections = Corrections::of(self.elements.len(), found);
+        self
     }
 
     /// Says whether links let the first element of a node see another one.

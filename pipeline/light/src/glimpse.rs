@@ -5,9 +5,10 @@ use std::sync::Arc;
 use pvmap_query::Map;
 use pvmap_vmap::light::Gloss;
 
-use crate::element::Elements;
+use crate::element::{Elements, Record};
 use crate::error::LightError;
-use crate::hierarchy::Hierarchy;
+use crate::fmm::bounds::Bounds;
+use crate::hierarchy::{Hierarchy, Subtree};
 use crate::incident::Air;
 use crate::optics::{Optics, SPREAD_RADII};
 use crate::surroundings::Surroundings;
@@ -76,6 +77,14 @@ impl<'a> Glimpses<'a> {
         let hierarchy = Hierarchy::of_map(map.view())?;
         let surroundings = Surroundings::new(Arc::clone(&elements), hierarchy);
         Ok(Glimpses { map, elements, gloss, surroundings })
+    }
+
+    /// Gives the bytes held for a map of so many surfels and nodes, and while they are read, about.
+    pub fn held_bytes(n_surfels: u32, n_nodes: u32) -> u64 {
+        // An area more: those that elements are made with.
+        let of_surfel = size_of::<Record<f64>>() + size_of::<Gloss>() + size_of::<f64>();
+        let of_node = size_of::<Subtree>() + size_of::<Bounds>();
+        u64::from(n_surfels) * of_surfel as u64 + u64::from(n_nodes) * of_node as u64
     }
 
     /// Says whether a surfel mirrors or lets light through.

@@ -323,8 +323,8 @@ impl<'a> Air<'a> {
             Lamp::Point { position, intensity } => {
                 (self.of_point(position, None, id, element)?, intensity)
             }
-            Lamp::Spot { position, direction, cos_cone, intensity } => {
-                let cone = Cone { axis: direction, angle: cos_cone.acos() };
+            Lamp::Spot { position, direction, angle, intensity } => {
+                let cone = Cone { axis: direction, angle };
                 (self.of_point(position, Some(cone), id, element)?, intensity)
             }
             Lamp::Area { corner, sides: [u, v], exitance } => {
@@ -372,7 +372,7 @@ impl<'a> Air<'a> {
         }
         // A lone point on a face of its cell, seen edge-on. No more arrives than what goes into
         // half of all directions.
-        let is_within = cone.is_none_or(|cone| -dot(to, cone.axis) >= cone.angle.cos() * norm(to));
+        let is_within = cone.is_none_or(|cone| cone.off(scale(to, -1.0)) <= cone.angle);
         let bounded = (cosine(element, to) / dot(to, to)).min(TAU / element.area);
         Ok(if is_within { bounded } else { 0.0 })
     }
@@ -435,6 +435,10 @@ impl<'a> Air<'a> {
 
     /// Says whether a place, measured from the cube's corner, sees an element.
     pub(crate) fn is_open(&self, id: u32, place: [f64; 3]) -> Result<bool, LightError> {
+        if self.extent == 0.0 {
+            // All of the scan is one place, and nothing of it stands elsewhere.
+            return Ok(true);
+        }
         let node = self.map.view().surfel(id)?.node;
         let here = Located { surfel: id, node, distance: 0.0 };
         let answer = self.map.shadow(&here, &Light::Air(add(place, self.origin)))?;

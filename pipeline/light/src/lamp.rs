@@ -1,6 +1,6 @@
 //! Lights that are no part of the scan.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use crate::incident::{GOLDEN, PLASTIC};
 use crate::vector::{add, beside, cross, norm, scale};
@@ -21,8 +21,8 @@ pub enum Lamp {
         position: [f64; 3],
         /// The axis of the cone, of length 1.
         direction: [f64; 3],
-        /// Cosine of the angle between the axis and the cone, -1…1.
-        cos_cone: f64,
+        /// Between the axis of the cone and its side, radians, 0…π.
+        angle: f64,
         /// Flux a solid angle, within the cone.
         intensity: [f64; 3],
     },
@@ -58,8 +58,8 @@ impl Lamp {
     pub fn flux(&self) -> Option<[f64; 3]> {
         match *self {
             Lamp::Point { intensity, .. } => Some(scale(intensity, 4.0 * PI)),
-            Lamp::Spot { cos_cone, intensity, .. } => {
-                Some(scale(intensity, TAU * (1.0 - cos_cone)))
+            Lamp::Spot { angle, intensity, .. } => {
+                Some(scale(intensity, solid_angle_of_cone(angle)))
             }
             Lamp::Area { sides: [u, v], exitance, .. } => Some(scale(exitance, norm(cross(u, v)))),
             Lamp::Sun { .. } => None,
@@ -76,15 +76,13 @@ impl Lamp {
             let ([u, v], (sin, cos)) = (beside(axis), turn.sin_cos());
             add(scale(axis, along), scale(add(scale(u, cos), scale(v, sin)), away))
         };
-        let in_cone = |axis: [f64; 3], cos_cone: f64| {
-            let along = 1.0 - (1.0 - cos_cone) * height;
-            round(axis, along, (1.0 - along * along).max(0.0).sqrt())
+        let in_cone = |axis: [f64; 3], angle: f64| {
+            let from_axis = 2.0 * ((0.5 * angle).sin() * height.sqrt()).asin();
+            round(axis, from_axis.cos(), from_axis.sin())
         };
         Some(match *self {
-            Lamp::Point { position, .. } => (position, in_cone([0.0, 0.0, 1.0], -1.0)),
-            Lamp::Spot { position, direction, cos_cone, .. } => {
-                (position, in_cone(direction, cos_cone))
-            }
+            Lamp::Point { position, .. } => (position, in_cone([0.0, 0.0, 1.0], PI)),
+            Lamp::Spot { position, direction, angle, .. } => (position, in_cone(direction, angle)),
             Lamp::Area { corner, sides: [u, v], .. } => {
                 let [a, b] = PLASTIC.map(|step| (k as f64 * step).fract());
                 let front = cross(u, v);
@@ -95,6 +93,12 @@ impl Lamp {
             Lamp::Sun { .. } => return None,
         })
     }
+}
+
+/// Gives the solid angle of a cone by the angle between its axis and its side, radians.
+pub fn solid_angle_of_cone(angle: f64) -> f64 {
+    // 2π(1 - cos a), without the difference, which loses narrow cones.
+    4.0 * PI * (0.5 * angle).sin().powi(2)
 }
 
 /// A sky that shines alike from all directions above the horizon.

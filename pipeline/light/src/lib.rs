@@ -55,7 +55,7 @@ pub use glimpse::{Glimpse, Glimpses, SeenAt};
 pub use hierarchy::{Hierarchy, Links, Span, Subtree};
 pub use interpolate::Irradiance;
 pub use kernel::Kernel;
-pub use lamp::{Lamp, Sky};
+pub use lamp::{Lamp, Sky, solid_angle_of_cone};
 pub use lighting::{LightOptions, Lighting, Lit, LitChannel, Planned, Work};
 pub use material::{Channel, Materials};
 pub use plan::{Decision, Effect, Outlook, Plan, Wishes};

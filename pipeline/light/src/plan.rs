@@ -131,8 +131,6 @@ pub struct Plan {
     pub decisions: Vec<Decision>,
     /// The order of grids, 1…7; none where pairs are taken one by one.
     pub order: Option<usize>,
-    /// Bounces after which what is left is below the tolerance.
-    pub bounces: u32,
     /// What leads out; none where no light is exchanged.
     pub outlook: Option<Outlook>,
 }
@@ -179,8 +177,9 @@ const BEFORE_EVIDENCE: usize = 54;
 const EVIDENCE: usize = 46;
 
 impl fmt::Display for Plan {
-    /// Writes a line an effect: its name, on or off, the bound, the seconds and the evidence, which
-    /// goes on in lines that begin with spaces; then whether the scene is closed.
+    /// Writes a line an effect: its name, on or off, the share of all light that is lost without
+    /// it at the most, the seconds and the evidence, which goes on in lines that begin with spaces;
+    /// then whether the scene is closed.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{:<25}{:<11}{:>7}  {:>7}  evidence", "effect", "", "loses", "CPU s")?;
         for decision in &self.decisions {
@@ -190,8 +189,7 @@ impl fmt::Display for Plan {
                 (true, true) => "on, asked",
                 (false, true) => "off, asked",
             };
-            let bound = if decision.is_on { 0.0 } else { decision.skipped };
-            let begin = (decision.effect.name(), state, bound, decision.seconds);
+            let begin = (decision.effect.name(), state, decision.skipped, decision.seconds);
             write_line(f, begin, &decision.evidence)?;
         }
         let Some(Outlook { open_share, n_directions, doubt, .. }) = self.outlook else {
@@ -266,7 +264,6 @@ mod tests {
         let plan = Plan {
             decisions: Effect::ALL.into_iter().map(decide).collect(),
             order: None,
-            bounces: 3,
             outlook: Some(outlook),
         };
         let text = plan.to_string();

@@ -7,7 +7,7 @@ use crate::hierarchy::Hierarchy;
 use crate::incident::N_DIRECTIONS;
 use crate::kernel::Kernel;
 use crate::lighting::{Lighting, Planned};
-use crate::near_field::near_pairs;
+use crate::near_field::{corrections, near_pairs};
 use crate::plan::{Decision, Effect, Plan};
 
 use self::exchanged::{MAKING, application_seconds, first_link};
@@ -102,15 +102,17 @@ impl Lighting<'_> {
         let sky = self.call_sky(&shining);
         let occlusion = self.call_occlusion(&shining);
         done(3)?;
-        let (bounces, n_bounces) = self.call_bounces(&shining, &hierarchy)?;
+        let bounces = self.call_bounces(&shining, &hierarchy)?;
         let gloss = self.call_gloss(&shining, &hierarchy)?;
         let exchanges = self.exchanges(&shining, &direct, &bounces);
         let color = self.call_color(&shining, exchanges);
         done(6)?;
         let near = match exchanges {
             true => {
-                let (links, worth) = (self.map.view(), self.options.worth);
-                near_pairs(&self.elements, &hierarchy, links, Kernel::default(), worth)?
+                let (elements, links, kernel) =
+                    (&self.elements, self.map.view(), Kernel::default());
+                let pairs = near_pairs(elements, &hierarchy, links, kernel, self.options.worth)?;
+                corrections(elements, kernel, &pairs)?
             }
             false => Vec::new(),
         };
@@ -142,7 +144,7 @@ impl Lighting<'_> {
             |(effect, call): (Effect, Call)| call.decided(effect, self.options.wishes.of(effect));
         let decisions = calls.into_iter().map(decide).collect();
         let outlook = exchanges.then(|| self.outlook(watch)).transpose()?;
-        let plan = Plan { decisions, order, bounces: n_bounces, outlook };
+        let plan = Plan { decisions, order, outlook };
         Ok(Planned { plan, exchange, n_lamp_tries: shining.tries.n_segments })
     }
 
@@ -210,13 +212,14 @@ impl Lighting<'_> {
         let seconds = tries.n_segments as f64 / tries.n_tried.max(1) as f64
             * tries.n_reached as f64
             * SEGMENT_SECONDS;
-        let (n, all) = (tries.n_segments, if tries.is_all { "all" } else { "of" });
-        let evidence = match (tries.n_blocked, tries.is_all) {
-            (0, true) => format!("none of all {n} segments to lamps is blocked"),
-            (0, false) => format!("none of {n} segments to lamps is blocked (95 %)"),
-            (blocked, _) => {
+        let (n, of) = (tries.n_segments, if tries.is_all { "of all" } else { "of" });
+        let evidence = match (n, tries.n_blocked) {
+            (0, _) => "segments to lamps are not tried".to_owned(),
+            (_, 0) if tries.is_all => format!("none {of} {n} segments to lamps is blocked"),
+            (_, 0) => format!("none {of} {n} segments to lamps is blocked (95 %)"),
+            (_, blocked) => {
                 let percent = 100.0 * tries.lost;
-                format!("{blocked} {all} {n} segments to lamps blocked, {percent:.1} % of light")
+                format!("{blocked} {of} {n} segments to lamps blocked, {percent:.1} % of light")
             }
         };
         Call::on(evidence, shining.lasting(shining.unblocked * tries.lost_at_most()))
@@ -224,30 +227,26 @@ impl Lighting<'_> {
             .costing(seconds)
     }
 
-    fn call_bounces(
-        &self,
-        shining: &Shining,
-        hierarchy: &Hierarchy,
-    ) -> Result<(Call, u32), LightError> {
+    fn call_bounces(&self, shining: &Shining, hierarchy: &Hierarchy) -> Result<Call, LightError> {
         let rho = self.max_albedo();
         if shining.flux == 0.0 || rho == 0.0 {
             let why = if rho == 0.0 { "nothing reflects" } else { "nothing shines" };
-            return Ok((Call::off(why), 0));
+            return Ok(Call::off(why));
         }
         let reflects = |id: usize| self.materials.channels.iter().any(|c| c.albedo[id] > 0.0);
         let reflecting: Vec<bool> = (0..self.elements.len()).map(reflects).collect();
         // Light that comes back from others: what is lit and reflects has a share of it, too.
         let Some((a, b)) = first_link(self.map.view(), hierarchy, &shining.is_lit, &reflecting)?
         else {
-            return Ok((Call::off("no surfel that reflects is linked to one that is lit"), 0));
+            return Ok(Call::off("no surfel that reflects is linked to one that is lit"));
         };
         let worth = self.options.worth;
-        let n_bounces = (worth * (1.0 - rho)).ln() / rho.ln();
-        let n_bounces = if rho < 1.0 { n_bounces.ceil().max(1.0) as u32 } else { u32::MAX };
+        // After so many what is left is worth nothing.
+        let n_bounces = ((worth * (1.0 - rho)).ln() / rho.ln()).ceil().max(1.0);
         let many =
-            if rho < 1.0 { format!("{n_bounces} bounces") } else { "all bounces".to_owned() };
+            if rho < 1.0 { format!("{n_bounces:.0} bounces") } else { "all bounces".to_owned() };
         // Of all light, 1 / (1 - ρ) of what is emitted, all but that.
         let call = Call::on(format!("link {a}-{b}, albedo to {rho:.2}: {many}"), rho);
-        Ok((call.if_worth(worth), n_bounces))
+        Ok(call.if_worth(worth))
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use pvmap::query::Map;
-use pvmap::render::{Camera, Glossy, Picture, Rgb, Sample, held_bytes_glossy};
+use pvmap::render::{Camera, Glossy, Picture, Rgb, Sample, held_bytes, held_bytes_glossy};
 use pvmap::vmap::{LightView, MapView};
 use pvmap::{Error, Exposure, Gaze, LitMap, Mapped, Mirrors, Watch, left_out, memory};
 
@@ -26,9 +26,17 @@ pub(super) fn of(args: &Args, map: &MapView<'_>, map_path: &Path) -> Result<Opti
     let Some(path) = &args.light else { return Ok(None) };
     let bytes = Mapped::open(path)?;
     let view = LightView::open(&bytes).map_err(|e| Error::artifact(path, e))?;
+    let what = "the picture (--size) and the light of the map";
+    memory::require(what, held_bytes(args.size) + lit_bytes(map, false), args.memory)?;
     let lit = LitMap::read((path, &view), (map_path, map))?;
     let exposure = lit.exposure(args.exposure);
     Ok(Some(Light { path: path.clone(), bytes, lit, exposure }))
+}
+
+/// Gives the bytes that the light of a map holds, and its mirrors if it has some.
+pub(super) fn lit_bytes(map: &MapView<'_>, has_mirrors: bool) -> u64 {
+    let mirrors = if has_mirrors { Mirrors::held_bytes(map.summary()) } else { 0 };
+    LitMap::held_bytes(map.summary().n_surfels) + mirrors
 }
 
 impl Light {
@@ -55,13 +63,13 @@ impl Light {
         if args.no_mirrors || !view.has_gloss() {
             return Ok(None);
         }
-        let left_out = left_out(&view).map_err(|e| Error::artifact(&self.path, e))?;
-        for effect in left_out {
+        for effect in left_out((&self.path, &view))? {
             let (name, path) = (effect.name(), self.path.display());
             context.progress.note(&format!("{path} was planned without {name}: so is the picture"));
         }
-        let what = "the picture with its mirrors (--size)";
-        memory::require(what, held_bytes_glossy(args.size), args.memory)?;
+        let what = "the picture with its mirrors (--size) and the light of the map";
+        let need_bytes = held_bytes_glossy(args.size) + lit_bytes(map.view(), true);
+        memory::require(what, need_bytes, args.memory)?;
         Mirrors::read((&self.path, &view), &self.lit, map)
     }
 

@@ -1,5 +1,6 @@
 //! What surfels send each other: how exactly, by which lists, at which cost.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -9,6 +10,9 @@ use crate::exchange::Exchange;
 use crate::hierarchy::{Hierarchy, Links};
 use crate::kernel::Kernel;
 use crate::lighting::Lighting;
+use crate::material::Channel;
+use crate::near_field::Correction;
+use crate::sum::sum;
 
 use super::Call;
 use super::shining::Shining;
@@ -16,6 +20,12 @@ use super::shining::Shining;
 /// What grids of each order err by, at the most of all surfels of a furnished room, as shares of
 /// the largest flux: measured, `examples/speed.rs`, and rounded up.
 const ORDER_ERRORS: [f64; 8] = [f64::NAN, 0.5, 4e-2, 4e-3, 8e-4, 6e-5, 6e-6, 1e-6];
+/// What grids of order 1 err by in all, as a share of what is exchanged. Source:
+/// catalogue/light.md §2, end to end against the direct sum.
+const FIRST_ORDER: f64 = 0.18;
+/// How many times the mean of reflected light elements next to each other have, at the most: it is
+/// smooth.
+const UNEVEN: f64 = 4.0;
 /// Processor seconds of a pair of elements, and of one between a place of a grid and another,
 /// roughly: for costs that are said beforehand.
 const PAIR_SECONDS: f64 = 1.5e-9;
@@ -30,22 +40,40 @@ const NODE_BYTES: u64 = 24 + 128 + 72 + 20 + 160;
 const FRACTION_BYTES: u64 = 12 + 2 * 16 + 2 * 12;
 
 impl Lighting<'_> {
-    pub(super) fn call_near_field(&self, near: &[[u32; 2]], shining: &Shining) -> Call {
-        let Some([i, j]) = near.first() else {
+    /// Calls for quadrature by what it changes: of the light that shines first what it does, and of
+    /// all that is reflected then no more than at the element whose exchange it changes most, nor
+    /// than if the elements that it changes had [`UNEVEN`] times their part of that light.
+    pub(super) fn call_near_field(&self, near: &[Correction], shining: &Shining) -> Call {
+        let Some(Correction { elements: [i, j], .. }) = near.first() else {
             return Call::off("no linked pair is nearer than 3 radii and exchanges much");
         };
         let n = near.len();
-        // The middles of a pair may be wrong by all that it exchanges; none sends more than the
-        // brightest, and all together what is sent.
-        let kernel = Kernel::default();
-        let exchanged =
-            |&[i, j]: &[u32; 2]| kernel.exchange(&self.elements, i as usize, j as usize);
-        let all: f64 = near.iter().map(exchanged).sum();
-        let flux = 3.0 * 2.0 * all * shining.most * shining.growth;
+        let mut changed = vec![0.0; self.elements.len()];
+        for &Correction { elements, exchange } in near {
+            elements.iter().for_each(|&id| changed[id as usize] += exchange.abs());
+        }
+        let rows = || changed.iter().enumerate().filter(|row| *row.1 > 0.0);
+        let first = sum(rows().map(|(id, by)| by * self.first_exitance(id, shining)));
+        let areas = self.elements.areas();
+        let most = rows().map(|(id, by)| by / areas[id]).fold(0.0, f64::max);
+        let part = UNEVEN * sum(rows().map(|(_, by)| *by)) / sum(areas.iter().copied());
+        let reflected = if shining.growth > 1.0 { most.min(part) * shining.growth } else { 0.0 };
         let what = format!("{n} pairs nearer than 3 radii, as {i} and {j}");
-        Call::on(what, shining.lasting(flux))
+        Call::on(what, shining.lasting(first) + reflected)
             .if_worth(self.options.worth)
             .costing(QUADRATURE * n as f64 * PAIR_SECONDS)
+    }
+
+    /// Gives what an element emits and reflects of the light of lamps and sky, were nothing in
+    /// between: flux an area, the three channels together.
+    fn first_exitance(&self, id: usize, shining: &Shining) -> f64 {
+        let sky = self.sky.map_or([0.0; 3], |sky| sky.radiance);
+        let channels = self.materials.channels.iter().enumerate();
+        let of_channel = |(index, channel): (usize, &Channel)| {
+            let arriving = shining.from_lamps[index][id] + PI * sky[index];
+            channel.emission[id] + channel.albedo[id] * arriving
+        };
+        channels.map(of_channel).sum()
     }
 
     pub(super) fn call_order(&self, exchanges: bool, shining: &Shining) -> (Call, Option<usize>) {
@@ -61,7 +89,7 @@ impl Lighting<'_> {
         let usual = ORDER_ERRORS[order];
         let evidence = format!("p = {order}: exchange to {wanted:.0e} wanted, usual {usual:.0e}");
         // What the exchange is off by grows from bounce to bounce.
-        let call = Call::on(evidence, ORDER_ERRORS[1] * shining.growth);
+        let call = Call::on(evidence, FIRST_ORDER * shining.growth);
         (Call { is_on: order > 1, ..call }, Some(order))
     }
 
@@ -70,7 +98,7 @@ impl Lighting<'_> {
         &self,
         hierarchy: &Hierarchy,
         order: Option<usize>,
-        near: &[[u32; 2]],
+        near: &[Correction],
     ) -> Result<Exchange, LightError> {
         let (limit_bytes, need_bytes) = (self.options.memory_bytes, self.held_bytes(hierarchy));
         let left = limit_bytes.checked_sub(need_bytes);
@@ -79,7 +107,7 @@ impl Lighting<'_> {
         let (elements, kernel) = (Arc::clone(&self.elements), Kernel::default());
         let links = self.map.view();
         let made = Exchange::within(elements, hierarchy.clone(), links, kernel, (order, spill))?;
-        if near.is_empty() { Ok(made) } else { made.with_near_field(near) }
+        Ok(if near.is_empty() { made } else { made.with_near_field(near) })
     }
 
     /// Gives the bytes that are held beside the lists of the exchange: elements, materials, what a
