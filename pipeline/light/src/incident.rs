@@ -28,16 +28,12 @@ const FINE: usize = 12;
 /// Directions to the sky along a side of the square that they are drawn from.
 const SKY: usize = 8;
 pub(crate) const N_DIRECTIONS: usize = SKY * SKY;
-/// Rays from lamps that say how much of their light arrives, of all lamps together and of one at the
-/// least.
+/// Rays from lamps that say how much of their light arrives at the least, of all lamps together and
+/// of one.
 const N_RAYS: usize = 1 << 14;
 const LEAST_RAYS: usize = 1 << 10;
-/// What arrives is not made to fit them where it is no farther off than that.
-const LEAST_OFF: f64 = 0.02;
-/// How far from the back of a patch a ray goes on, and how far behind it a face may be that the
-/// patch belongs before, in radii of the element.
-const BEYOND: f64 = 1e-3;
-const BEHIND: f64 = 4.0;
+/// What arrives is left as it is where it is short of what they bring by no more than this.
+const LEAST_SHORT: f64 = 0.02;
 /// The share of its section with its cell that an element's points cover where it has all of it.
 const MIN_COVERED: f64 = 0.8;
 /// The golden angle, which no number of turns comes near to a circle of.
@@ -123,9 +119,8 @@ impl<'a> Air<'a> {
 
     /// Gives what arrives from all lamps; without `tests`, as if nothing were in between.
     ///
-    /// Where patches of an edge or of a curved surface cover some directions twice or not at all,
-    /// what arrives from a lamp is multiplied, if `is_bounded`, so that it is as much as rays from
-    /// it meet.
+    /// Patches of an edge or of a curved surface cover some directions twice or not at all. If
+    /// light `is_bounded`, no more arrives from a lamp than it gives, and no less than rays bring.
     pub(crate) fn lamps(
         &self,
         lamps: &[Lamp],
@@ -153,30 +148,39 @@ impl<'a> Air<'a> {
         Ok(incident)
     }
 
-    /// Gives what the light of a lamp is to be multiplied with so that as much arrives as rays from
-    /// it bring; 1 where that is not known better by rays.
+    /// Gives what the light of a lamp is to be multiplied with: no more can arrive than it gives,
+    /// and no less than rays from it bring, of which some pass between patches.
     fn correction(&self, lamp: &Lamp, rows: &[Row], n_rays: usize) -> Result<f64, LightError> {
-        let Some(given) = lamp.flux() else { return Ok(1.0) };
         let areas = self.elements.areas();
         let in_all = |color: [f64; 3]| color.iter().sum::<f64>();
+        let given = lamp.flux().map_or(0.0, in_all);
         let arrives = sum(areas.iter().zip(rows).map(|(area, row)| area * in_all(row.irradiance)));
-        let arrives = arrives / in_all(given);
+        let share = arrives / given;
+        // Of the sun nobody knows what it gives, and in one place there is nothing to meet.
+        let is_known = share > 0.0 && share < f64::INFINITY && self.extent > 0.0;
+        if !is_known || share >= 1.0 {
+            return Ok(if is_known { 1.0 / share } else { 1.0 });
+        }
         let met = self.share_met(lamp, n_rays)?;
         // Three times the standard error of as many rays at random; these are spread evenly.
-        let doubt = 3.0 * ((1.0 - met) / (met * n_rays as f64)).sqrt();
-        let is_known = arrives > 0.0 && arrives < f64::INFINITY && met > 0.0;
-        let is_off = (arrives / met - 1.0).abs() > doubt.max(LEAST_OFF);
-        Ok(if is_known && is_off { met / arrives } else { 1.0 })
+        let doubt = 3.0 * ((1.0 - met) * met / n_rays as f64).sqrt();
+        let is_short = share < (1.0 - LEAST_SHORT) * met - doubt;
+        Ok(if is_short { met / share } else { 1.0 })
     }
 
     /// Gives the share of a lamp's light that meets the face of an element, by rays spread evenly
     /// over all that it sends out.
     fn share_met(&self, lamp: &Lamp, n_rays: usize) -> Result<f64, LightError> {
-        let met = (0..n_rays).into_par_iter().map(|k| {
+        let meets = |k: usize| {
             let Some((from, direction)) = lamp.ray(k, n_rays) else { return Ok(false) };
-            self.meets(sub(from, self.origin), direction)
-        });
-        let met = met.collect::<Result<Vec<bool>, LightError>>()?;
+            let hit = self.first_hit(sub(from, self.origin), direction)?;
+            let faces = |id: u32| {
+                let element = self.elements.get(id as usize);
+                cosine(&element, scale(direction, -1.0)) > 0.0
+            };
+            Ok::<_, LightError>(hit.is_some_and(|(id, _)| faces(id)))
+        };
+        let met = (0..n_rays).into_par_iter().map(meets).collect::<Result<Vec<bool>, _>>()?;
         Ok(met.iter().filter(|is_met| **is_met).count() as f64 / n_rays as f64)
     }
 
@@ -237,24 +241,6 @@ impl<'a> Air<'a> {
             }
         }
         Ok(squares)
-    }
-
-    /// Says whether a ray meets the face of an element. At edges patches go on beyond their
-    /// surface: where it meets the back of one, it meets what is right behind it.
-    fn meets(&self, from: [f64; 3], direction: [f64; 3]) -> Result<bool, LightError> {
-        let is_face = |id: u32| {
-            let element = self.elements.get(id as usize);
-            cosine(&element, scale(direction, -1.0)) > 0.0
-        };
-        let Some((id, place)) = self.first_hit(from, direction)? else { return Ok(false) };
-        if is_face(id) {
-            return Ok(true);
-        }
-        let radius = (self.elements.get(id as usize).area / PI).sqrt();
-        let beyond = add(place, scale(direction, BEYOND * radius));
-        let next = self.first_hit(beyond, direction)?;
-        let is_behind = |at: [f64; 3]| norm(sub(at, place)) <= BEHIND * radius;
-        Ok(next.is_some_and(|(id, at)| is_face(id) && is_behind(at)))
     }
 
     /// Gives what an element gets from one lamp: flux an area, by channel.

@@ -1,6 +1,6 @@
 //! Whether light escapes from a scene.
 
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_1_SQRT_2, PI, SQRT_2};
 
 use pvmap_store::Watch;
 use rayon::prelude::*;
@@ -24,7 +24,7 @@ const MOST_LOOKED_FROM: usize = 4096;
 /// are not told apart: the scene is open in any case.
 const OPEN: f64 = 0.5;
 /// Half the width of what counts as a gap, in radii of an element.
-const GAP_RADII: f64 = 2.0;
+const GAP_RADII: f64 = 0.5;
 /// Rays around one that leads out, and how many of them have to go on where it does: at the edge of
 /// an opening two do.
 const N_AROUND: usize = 4;
@@ -160,9 +160,9 @@ fn is_gap(
         for side in around {
             let along = add(scale(direction, distance), side);
             let at = |times: f64| add(from, scale(along, times * distance / norm(along)));
-            if air.is_open(id, at(2.0))? {
+            if air.is_open(id, at(SQRT_2))? {
                 n_free += 1;
-            } else if is_last || dot(along, normal) <= 0.0 || air.is_open(id, at(0.5))? {
+            } else if is_last || dot(along, normal) <= 0.0 || air.is_open(id, at(FRAC_1_SQRT_2))? {
                 // What goes into the element's own surface does so at no distance.
                 n_ends += 1;
             }
