@@ -124,9 +124,23 @@ impl Rows {
         Rows::of(Box::new(InputFile::open(path)?), path)
     }
 
+    /// Does the same, and skips lines that begin with `#`.
+    ///
+    /// # Errors
+    /// Those of [`Rows::of_file`].
+    pub fn of_commented_file(path: &Path) -> Result<Rows, Error> {
+        Rows::with(Box::new(InputFile::open(path)?), path, Some(b'#'))
+    }
+
     fn of(input: Box<dyn Read + Send>, path: &Path) -> Result<Rows, Error> {
+        Rows::with(input, path, None)
+    }
+
+    fn with(input: Box<dyn Read + Send>, path: &Path, comment: Option<u8>) -> Result<Rows, Error> {
         let guard = Guard {
             input,
+            comment,
+            is_comment: false,
             n_given: 0,
             given: Vec::new(),
             is_waiting: false,
@@ -137,6 +151,7 @@ impl Rows {
         let reader = csv::ReaderBuilder::new()
             .flexible(true)
             .has_headers(false)
+            .comment(comment)
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(guard);
         let (header, row) = (StringRecord::new(), ByteRecord::new());
@@ -249,6 +264,10 @@ impl Rows {
 /// hand is known to be as long as what was given beyond its start.
 struct Guard<R> {
     input: R,
+    /// What lines begin with that are no rows.
+    comment: Option<u8>,
+    /// Whether such a line was begun.
+    is_comment: bool,
     n_given: u64,
     /// The bytes given last.
     given: Vec<u8>,
@@ -256,7 +275,7 @@ struct Guard<R> {
     is_waiting: bool,
     /// Where the row at hand begins.
     row_start: u64,
-    /// Whether only line ends came since the row before.
+    /// Whether only line ends and comments came since the row before.
     is_ahead: bool,
     /// Line ends in front of the row at hand.
     n_ends: u64,
@@ -266,16 +285,20 @@ impl<R> Guard<R> {
     /// Notes where the row before ended.
     fn begin_row(&mut self, start: u64) {
         (self.row_start, self.is_ahead, self.n_ends) = (start, true, 0);
+        self.is_comment = false;
         let n_ahead = (self.n_given - start).min(self.given.len() as u64) as usize;
         let given = std::mem::take(&mut self.given);
         self.skip_ends(&given[given.len() - n_ahead..]);
         self.given = given;
     }
 
-    /// Skips the line ends in front of a row: the second half of the row's before, and blank lines.
+    /// Skips the line ends in front of a row: the second half of the row's before, blank lines, and
+    /// comments with theirs.
     fn skip_ends(&mut self, bytes: &[u8]) {
         for &byte in bytes {
-            self.is_ahead &= [b'\r', b'\n'].contains(&byte);
+            self.is_comment |= self.is_ahead && Some(byte) == self.comment;
+            self.is_ahead &= self.is_comment || [b'\r', b'\n'].contains(&byte);
+            self.is_comment &= byte != b'\n';
             if !self.is_ahead {
                 break;
             }
