@@ -244,7 +244,8 @@ impl Rows {
         if self.reader.position().byte() - self.reader.get_ref().row_start > MAX_ROW_BYTES {
             return Err(self.too_long());
         }
-        Ok(is_row)
+        // Of a comment that the file ends in, without a line end, the parser makes an empty row.
+        Ok(is_row && !self.reader.get_ref().is_comment)
     }
 
     fn too_long(&self) -> Error {
@@ -331,8 +332,8 @@ struct RowTooLong;
 mod tests {
     use super::*;
 
-    /// Reads all rows of a text that comes in pieces of `step` bytes: their number, or the error.
-    fn read(text: &str, step: usize) -> Result<usize, String> {
+    /// Gives a text in pieces of `step` bytes.
+    fn pieces(text: &str, step: usize) -> Box<dyn Read + Send> {
         struct Pieces(io::Cursor<Vec<u8>>, usize);
         impl Read for Pieces {
             fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
@@ -340,8 +341,13 @@ mod tests {
                 self.0.read(&mut buf[..n])
             }
         }
-        let input = Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step));
-        let mut rows = Rows::of(input, Path::new("rows.csv")).map_err(|e| e.to_string())?;
+        Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step))
+    }
+
+    /// Reads all rows of a text that comes in pieces of `step` bytes: their number, or the error.
+    fn read(text: &str, step: usize) -> Result<usize, String> {
+        let path = Path::new("rows.csv");
+        let mut rows = Rows::of(pieces(text, step), path).map_err(|e| e.to_string())?;
         let mut n = 0;
         while rows.read().map_err(|e| e.to_string())?.is_some() {
             n += 1;
@@ -382,6 +388,25 @@ mod tests {
             // Many short ones are no long one.
             assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));
         }
+    }
+
+    #[test]
+    fn comments_are_no_rows_and_their_lines_count() {
+        let text = "# a\n\n# b \"\na,b\r\n# c\r\n1,2\n#\n\n3,#4\n# d";
+        for step in [1, 2, 3, 7, usize::MAX] {
+            let mut rows =
+                Rows::with(pieces(text, step), Path::new("rows.csv"), Some(b'#')).unwrap();
+            assert_eq!((rows.header().as_slice(), rows.line()), ("ab", 4), "{step}");
+            let mut found = Vec::new();
+            while let Some(row) = rows.read().unwrap() {
+                found.push((row.as_slice().to_owned(), rows.line()));
+            }
+            assert_eq!(found, [("12".to_owned(), 6), ("3#4".to_owned(), 9)], "{step}");
+        }
+        // Many of them are no long row.
+        let text = format!("a,b\n{}1,2\n", "# of no use\n".repeat(10_000));
+        let mut rows = Rows::with(pieces(&text, 4096), Path::new("r"), Some(b'#')).unwrap();
+        assert!(rows.read().unwrap().is_some() && rows.line() == 10_002);
     }
 
     #[test]

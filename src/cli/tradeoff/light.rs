@@ -28,8 +28,8 @@ use super::{Args, axes, clock_of, places, setting_json, sweep_of};
 /// What shines, and how to light.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct LightArgs {
-    /// Light each map by this file, as pvmap light takes it, and say how far
-    /// its light is off
+    /// Light each map by this file, as pvmap light takes it, and say how
+    /// far its light is off
     #[arg(long, value_name = "FILE.toml", verbatim_doc_comment)]
     lights: Option<PathBuf>,
     /// Irradiance that was measured or traced at places; columns x, y, z,
@@ -54,7 +54,7 @@ pub(super) struct LightArgs {
         value_parser = parse_share
     )]
     error: Vec<f64>,
-    /// Try to take all pairs of surfels one by one
+    /// Try all pairs of surfels one by one
     #[arg(long, requires = "lights")]
     direct: bool,
 }

@@ -80,6 +80,29 @@ a map is wrong, too, where noise moved a point out of sight or its normal has th
 --estimate-normals points have the exact normals of their surfaces, however noisy they are; those
 that have none are estimated. The plot has a panel a defect and a line a setting.
 
+Light: with --lights no pairs are asked. Each map is lit in several ways, each by a pvmap light of
+its own: by multipoles of orders 1 to 5, pair by pair, and for errors of 5 %, 1 % and 0.2 %; with
+any of --order, --direct and --error by these alone. By --order and --direct as much is left to
+solve as pvmap light leaves without --error. Without any of the options from --config to --fractions
+maps are of levels 5 to 8 with capacities of 200, 50 and 25, and depth8 with a least exchange of
+1e-6 and with an opening angle of 0.15.
+With --irradiance a light is held against what is known of places: there it is interpolated as pvmap
+export does, and its differences in red, green and blue are added up, as a share of what is known; a
+column irradiance is held against the mean of the three. Other columns are ignored, and lines that
+begin with #. Places farther than four half spacings from the surfaces of a map are left out, and
+counted. Without --irradiance the light of the same map, pair by pair to 1e-6, is held against: that
+is a reference and not truth, for it has the errors of the map itself. Then all surfels count by
+their area, but those without a normal are left out, and differences are shares of the mean
+irradiance. Columns:
+  map, light, both     seconds: from the octree to the map, from the map to the light, together
+  memory               most anonymous memory of the lighting process, of all runs
+  order, rounds        of the multipoles, - where there are none; rounds of the solver
+  error                mean of the absolute differences
+  bias, largest        mean of the differences, above 0 where it is too bright; the largest of them
+  left out             places on no surface of the map, or surfels without a normal
+Stars and --want go by both and error, which has no interval here. The plot has a panel for the
+seconds of the light alone and one for those of both, and a color for maps of a capacity and kind.
+
 The same seed gives the same pairs, and the same counts on any machine; seconds and memory are those
 of this one. Ctrl-C prints what is measured so far; files are then not written. Maps and what is
 generated lie in the system's folder for temporary files (TMPDIR) until the end.
@@ -90,6 +113,8 @@ Examples:
   pvmap tradeoff furnished --config depth8,accurate --segment
   pvmap tradeoff grotto.octree --max-level 6,7,8 --leaf-capacity 25,50,100 --limit 600
   pvmap tradeoff furnished --noise 1mm,3mm,1cm --holes 5%,20% --csv rough.csv --svg rough.svg
+  pvmap tradeoff furnished --lights lamp.toml --cpu --svg light.svg --want error=1%
+  pvmap tradeoff hall.octree --lights lamps.toml --irradiance lux.csv --config depth8 --order 2,3
   pvmap tradeoff room.ply --truth room.mesh.ply --config depth8,paper,mine.toml --want time=30s")]
 pub(super) struct Args {
     /// A scene to generate, a scan file, or an octree, as pvmap ingest
@@ -170,10 +195,10 @@ pub(super) struct Args {
     /// own
     #[arg(long, verbatim_doc_comment)]
     segment: bool,
-    /// Seconds that a build may take
+    /// Seconds that a build may take, and each light
     #[arg(long, default_value_t = 300, value_name = "SECONDS")]
     limit: u64,
-    /// How often each map is built; the quickest counts
+    /// How often maps are built, and lit; the quickest counts
     #[arg(
         long,
         default_value_t = 1,
@@ -200,10 +225,10 @@ pub(super) struct Args {
     /// Replace files of those names whatever they are
     #[arg(long)]
     overwrite: bool,
-    /// Threads of a build; 0 takes as many as the machine has
+    /// Threads of a build or light; 0 takes as many as there are
     #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
     threads: usize,
-    /// Most memory of a build or of the triangles
+    /// Most memory of a build, a light or the triangles
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
     #[command(flatten, next_help_heading = "Defects of a generated scan")]

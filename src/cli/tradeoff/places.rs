@@ -23,17 +23,17 @@ struct Found {
 }
 
 enum Light {
-    /// Alike in red, green and blue.
-    Grey(Columns<1>),
+    /// The mean of red, green and blue.
+    Mean(Columns<1>),
     Colors(Columns<3>),
 }
 
-/// Reads places and the irradiance there: columns x, y, z, nx, ny, nz and irradiance, or red, green,
-/// blue; others are ignored, and so are lines that begin with `#`.
+/// Reads places and the irradiance there: columns x, y, z, nx, ny, nz and irradiance, or red,
+/// green, blue; others are ignored, and so are lines that begin with `#`.
 ///
 /// # Errors
-/// Where the table cannot be read, lacks a column or has no places, a number is none, a normal is no
-/// direction, a place is dark, or has two values; with file and line.
+/// Where the table cannot be read, lacks a column or has no places, a number is none, a normal is
+/// no direction, a place is dark, or has two values; with file and line.
 pub(super) fn read(path: &Path) -> Result<Vec<KnownPlace>, Error> {
     let mut rows = Rows::of_commented_file(path)?;
     let refuse = |what: String| Error::Data(format!("{}: {what}", path.display()));
@@ -48,7 +48,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<KnownPlace>, Error> {
         let line = rows.line();
         let at_line = |what: String| refuse(format!("line {line}: {what}"));
         let place = found.place(block.row(0)).map_err(at_line)?;
-        let KnownPlace { position, normal, irradiance } = place;
+        let KnownPlace { position, normal, irradiance, .. } = place;
         let key = (position.map(f64::to_bits), normal.map(f32::to_bits));
         match lines.entry(key) {
             Entry::Vacant(entry) => drop(entry.insert((line, irradiance))),
@@ -69,10 +69,10 @@ pub(super) fn read(path: &Path) -> Result<Vec<KnownPlace>, Error> {
 
 impl Found {
     fn new(header: &Header<'_>) -> Result<Found, String> {
-        let grey = header.all_or_none(["irradiance"], EXPECTED)?;
+        let mean = header.all_or_none(["irradiance"], EXPECTED)?;
         let colors = header.all_or_none(["red", "green", "blue"], EXPECTED)?;
-        let irradiance = match (grey, colors) {
-            (Some(grey), None) => Light::Grey(grey),
+        let irradiance = match (mean, colors) {
+            (Some(mean), None) => Light::Mean(mean),
             (None, Some(colors)) => Light::Colors(colors),
             (None, None) => {
                 return Err(format!("no column irradiance; the header row is {EXPECTED}"));
@@ -96,19 +96,20 @@ impl Found {
         if length == 0.0 || !length.is_finite() {
             return Err(format!("the normal {x},{y},{z} is no direction"));
         }
-        let irradiance = match &self.irradiance {
-            Light::Grey(column) => [finite(row, column)?[0]; 3],
-            Light::Colors(columns) => finite(row, columns)?,
+        let (irradiance, is_mean) = match &self.irradiance {
+            Light::Mean(column) => ([finite(row, column)?[0]; 3], true),
+            Light::Colors(columns) => (finite(row, columns)?, false),
         };
         if irradiance.iter().any(|&v| v < 0.0) || irradiance == [0.0; 3] {
             let what = "it must be above 0, for errors are shares of it";
             let told = match &self.irradiance {
-                Light::Grey(_) => irradiance[0].to_string(),
+                Light::Mean(_) => irradiance[0].to_string(),
                 Light::Colors(_) => irradiance.map(|v| v.to_string()).join(","),
             };
             return Err(format!("the irradiance is {told}: {what}"));
         }
-        Ok(KnownPlace { position, normal: [x, y, z].map(|v| (v / length) as f32), irradiance })
+        let normal = [x, y, z].map(|v| (v / length) as f32);
+        Ok(KnownPlace { position, normal, irradiance, is_mean })
     }
 }
 

@@ -185,9 +185,9 @@ fn panel(svg: &mut String, begin: f64, of: &Panel<'_>, wish: Option<Wish>) {
     text(svg, [x0 - 48.0, above - 14.0], "subtitle", "start", "mean error of irradiance");
     let place = |lit: &Lit| [x.at(seconds(lit)), y.at(100.0 * lit.off.mean)];
     let mut taken: Vec<[f64; 4]> = lights.iter().map(|l| around(place(l.3))).collect();
+    // Names may cross it: beside it there may be no room for them.
     if let Some(at) = of.wished.map(|t| x.at(t)) {
         stroke(svg, "wish", [at, above], [at, above + height]);
-        taken.push([at - 1.0, above, at + 1.0, above + height]);
     }
     if let Some(at) = wished_error.map(|e| y.at(e)) {
         stroke(svg, "wish", [x0, at], [x0 + width, at]);

@@ -18,6 +18,8 @@ pub struct KnownPlace {
     pub normal: [f32; 3],
     /// Red, green, blue, flux an area; not all zero.
     pub irradiance: [f64; 3],
+    /// Whether only the mean of the three is known, and stands for each.
+    pub is_mean: bool,
 }
 
 /// How far a light is off, as shares of what is known.
@@ -55,9 +57,8 @@ pub enum Yardstick {
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
     at: GridPoint,
-    normal: [f32; 3],
     surfel: u32,
-    irradiance: [f64; 3],
+    known: KnownPlace,
 }
 
 impl Yardstick {
@@ -73,12 +74,12 @@ impl Yardstick {
         let frame = &map.view().frame().frame;
         let mut spots = Vec::new();
         for known in places {
-            let KnownPlace { position, normal, irradiance } = *known;
+            let KnownPlace { position, normal, .. } = *known;
             let place = Place { position, normal: Some(normal) };
             let found = map.surface_at(&place, Snap::FourHalfSpacings);
             let found = found.map_err(|e| Error::of_query(path, e))?;
             if let (Some(found), Ok(at)) = (found, frame.grid_of_query(position)) {
-                spots.push(Spot { at, normal, surfel: found.surfel, irradiance });
+                spots.push(Spot { at, surfel: found.surfel, known: *known });
             }
         }
         let n_left_out = (places.len() - spots.len()) as u64;
@@ -129,8 +130,12 @@ impl Yardstick {
             Yardstick::Places { spots, n_left_out } => {
                 let lit = LitMap::read((light_path, light), (map_path, map))?;
                 let differences = spots.iter().map(|spot| {
-                    let found = lit.irradiance(spot.at, spot.normal, spot.surfel);
-                    (1.0, difference(found, spot.irradiance, spot.irradiance.iter().sum()))
+                    let KnownPlace { normal, irradiance: known, is_mean, .. } = spot.known;
+                    let mut found = lit.irradiance(spot.at, normal, spot.surfel);
+                    if is_mean {
+                        found = [found.iter().sum::<f64>() / 3.0; 3];
+                    }
+                    (1.0, difference(found, known, known.iter().sum()))
                 });
                 Ok(Off { n_left_out: *n_left_out, ..mean(differences) })
             }
