@@ -234,7 +234,7 @@ pub(super) struct Args {
     #[command(flatten, next_help_heading = "Defects of a generated scan")]
     defects: DefectArgs,
     #[command(flatten, next_help_heading = "Light of the maps")]
-    lights: LightArgs,
+    lights: Box<LightArgs>,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Answer {

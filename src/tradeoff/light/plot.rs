@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::table::{percent, recommendation};
-use super::{LightSubject, Lit, LitOutcome, LitRow, Way, choose, figures};
+use super::{LightJudge, LightSubject, Lit, LitOutcome, LitRow, Way, choose, figures};
 use crate::svg::{
     Axis, COLORS, around, begin, escaped, grid, label, mark, name, steps, stroke, text, width_of,
 };
@@ -39,17 +39,16 @@ struct Panel<'a> {
 /// Draws the rows: a mark a light, full where no other takes as little and is as near. What is not
 /// lit is told below; of an error of 0 the mark lies on the axis.
 pub fn draw(rows: &[LitRow], subject: &LightSubject, wish: Option<Wish>) -> String {
-    // Where a file lies is nothing to a reader of the drawing.
-    let file = |path: &str| {
-        let name = Path::new(path).file_name().map(|name| name.to_string_lossy().into_owned());
-        escaped(&name.unwrap_or_else(|| path.to_owned()))
+    let judge = match &subject.judge {
+        LightJudge::Places { file, n } => LightJudge::Places { file: file_name(file), n: *n },
+        LightJudge::Reference => LightJudge::Reference,
     };
-    let title = format!("{}: what light costs", file(&subject.name));
+    let title = format!("{}: what light costs", escaped(&file_name(&subject.name)));
     let subtitle = format!(
         "{} points, lit by {}; {}; full: no other takes as little and is as near",
         label(subject.n_points as f64, ""),
-        file(&subject.lights),
-        escaped(&subject.judge.words())
+        escaped(&file_name(&subject.lights)),
+        escaped(&judge.words())
     );
     let groups = groups(rows);
     let places = lines_of(WIDTH, groups.iter().map(|group| 34.0 + width_of(group)));
@@ -88,6 +87,12 @@ pub fn draw(rows: &[LitRow], subject: &LightSubject, wish: Option<Wish>) -> Stri
     }
     svg.push_str("</svg>\n");
     svg
+}
+
+/// Gives the name of a file: where it lies is nothing to a reader of the drawing.
+fn file_name(path: &str) -> String {
+    let name = Path::new(path).file_name().map(|name| name.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| path.to_owned())
 }
 
 const WAYS: [&str; 3] = ["multipoles of an order (p)", "an error asked for", "pair by pair"];
