@@ -113,7 +113,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let watch = &context.progress;
     let maps = Maps { args, source: &source, view: &view, n: settings.len(), watch };
     let subject = subject(args, lights, view.summary().n_points, known.as_deref());
-    let lighting = Lighting { args, lights, source: &source, known, limits, watch };
+    let lighting = Lighting { args, lights, source: &source, known, watch };
     let mut rows = Vec::new();
     match lighting.measure_all(&maps, &settings, &mut rows) {
         Ok(()) => outputs.finish(
@@ -168,7 +168,6 @@ struct Lighting<'a> {
     source: &'a Source,
     /// Places whose irradiance is known, if some are.
     known: Option<Vec<KnownPlace>>,
-    limits: Limits,
     watch: &'a dyn Watch,
 }
 
@@ -265,8 +264,7 @@ impl Lighting<'_> {
         }
         let bytes = Mapped::open(&output.0)?;
         let light = LightView::open(&bytes).map_err(|e| damaged(&output, e))?;
-        let of = || Yardstick::of_light((&output.0, &light), (one.path, one.map.view()));
-        let found = self.limits.run(of)??;
+        let found = Yardstick::of_light((&output.0, &light), (one.path, one.map.view()))?;
         if found.is_empty() {
             return Ok(Err("no surfel has a normal".to_owned()));
         }
@@ -293,8 +291,7 @@ impl Lighting<'_> {
         };
         let bytes = Mapped::open(&output.0)?;
         let light = LightView::open(&bytes).map_err(|e| damaged(&output, e))?;
-        let off = || yardstick.off((&output.0, &light), (one.path, one.map.view()));
-        let off = self.limits.run(off)??;
+        let off = yardstick.off((&output.0, &light), (one.path, one.map.view()))?;
         let summary = light.summary();
         let lit = Lit {
             map: one.built.clone(),

@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use pvmap_geometry::GridPoint;
-use pvmap_light::areas_grid2;
 use pvmap_query::{Map, Place, Snap};
 use pvmap_vmap::{FormatError, LightView, MapView};
 
-use crate::{Error, LitMap};
+use crate::{Error, LitMap, require_light};
 
 /// A place whose irradiance is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,22 +88,23 @@ impl Yardstick {
     /// Takes the light of a file, of this map.
     ///
     /// # Errors
-    /// Where one of the two is damaged.
+    /// Where the light is another map's, or one of the two is damaged.
     pub fn of_light(
         (light_path, light): (&Path, &LightView<'_>),
         (map_path, map): (&Path, &MapView<'_>),
     ) -> Result<Yardstick, Error> {
-        let of_map = |e| Error::artifact(map_path, e);
-        let areas = areas_grid2(map).map_err(of_map)?;
-        let one = |(id, area): (u32, f64)| {
-            if map.surfel(id).map_err(of_map)?.normal == [0; 3] {
+        require_light((light_path, light), (map_path, map))?;
+        let of_light = |e| Error::artifact(light_path, e);
+        let one = |id| {
+            let surfel = map.surfel(id).map_err(|e| Error::artifact(map_path, e))?;
+            if surfel.normal == [0; 3] {
                 return Ok(None);
             }
-            let found = irradiance(light, id).map_err(|e| Error::artifact(light_path, e))?;
-            Ok(Some((area, found)))
+            let area = light.factors(id).map_err(of_light)?.area;
+            Ok(Some((area, irradiance(light, id).map_err(of_light)?)))
         };
-        let surfels = (0..).zip(areas).map(one).collect::<Result<Vec<_>, Error>>()?;
-        Ok(Yardstick::Surfels(surfels))
+        let surfels = (0..map.summary().n_surfels).map(one);
+        Ok(Yardstick::Surfels(surfels.collect::<Result<_, Error>>()?))
     }
 
     /// Says whether there is nothing to look at.
@@ -140,6 +140,7 @@ impl Yardstick {
                 Ok(Off { n_left_out: *n_left_out, ..mean(differences) })
             }
             Yardstick::Surfels(surfels) => {
+                require_light((light_path, light), (map_path, map))?;
                 let known = || surfels.iter().flatten();
                 let area: f64 = known().map(|(area, _)| area).sum();
                 let flux: f64 = known().map(|(area, h)| area * h.iter().sum::<f64>()).sum();
