@@ -124,9 +124,23 @@ impl Rows {
         Rows::of(Box::new(InputFile::open(path)?), path)
     }
 
+    /// Does the same, and skips lines that begin with `#`.
+    ///
+    /// # Errors
+    /// Those of [`Rows::of_file`].
+    pub fn of_commented_file(path: &Path) -> Result<Rows, Error> {
+        Rows::with(Box::new(InputFile::open(path)?), path, Some(b'#'))
+    }
+
     fn of(input: Box<dyn Read + Send>, path: &Path) -> Result<Rows, Error> {
+        Rows::with(input, path, None)
+    }
+
+    fn with(input: Box<dyn Read + Send>, path: &Path, comment: Option<u8>) -> Result<Rows, Error> {
         let guard = Guard {
             input,
+            comment,
+            is_comment: false,
             n_given: 0,
             given: Vec::new(),
             is_waiting: false,
@@ -137,6 +151,7 @@ impl Rows {
         let reader = csv::ReaderBuilder::new()
             .flexible(true)
             .has_headers(false)
+            .comment(comment)
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(guard);
         let (header, row) = (StringRecord::new(), ByteRecord::new());
@@ -229,7 +244,8 @@ impl Rows {
         if self.reader.position().byte() - self.reader.get_ref().row_start > MAX_ROW_BYTES {
             return Err(self.too_long());
         }
-        Ok(is_row)
+        // Of a comment that the file ends in, without a line end, the parser makes an empty row.
+        Ok(is_row && !self.reader.get_ref().is_comment)
     }
 
     fn too_long(&self) -> Error {
@@ -249,6 +265,10 @@ impl Rows {
 /// hand is known to be as long as what was given beyond its start.
 struct Guard<R> {
     input: R,
+    /// What lines begin with that are no rows.
+    comment: Option<u8>,
+    /// Whether such a line was begun.
+    is_comment: bool,
     n_given: u64,
     /// The bytes given last.
     given: Vec<u8>,
@@ -256,7 +276,7 @@ struct Guard<R> {
     is_waiting: bool,
     /// Where the row at hand begins.
     row_start: u64,
-    /// Whether only line ends came since the row before.
+    /// Whether only line ends and comments came since the row before.
     is_ahead: bool,
     /// Line ends in front of the row at hand.
     n_ends: u64,
@@ -266,16 +286,20 @@ impl<R> Guard<R> {
     /// Notes where the row before ended.
     fn begin_row(&mut self, start: u64) {
         (self.row_start, self.is_ahead, self.n_ends) = (start, true, 0);
+        self.is_comment = false;
         let n_ahead = (self.n_given - start).min(self.given.len() as u64) as usize;
         let given = std::mem::take(&mut self.given);
         self.skip_ends(&given[given.len() - n_ahead..]);
         self.given = given;
     }
 
-    /// Skips the line ends in front of a row: the second half of the row's before, and blank lines.
+    /// Skips the line ends in front of a row: the second half of the row's before, blank lines, and
+    /// comments with theirs.
     fn skip_ends(&mut self, bytes: &[u8]) {
         for &byte in bytes {
-            self.is_ahead &= [b'\r', b'\n'].contains(&byte);
+            self.is_comment |= self.is_ahead && Some(byte) == self.comment;
+            self.is_ahead &= self.is_comment || [b'\r', b'\n'].contains(&byte);
+            self.is_comment &= byte != b'\n';
             if !self.is_ahead {
                 break;
             }
@@ -308,8 +332,8 @@ struct RowTooLong;
 mod tests {
     use super::*;
 
-    /// Reads all rows of a text that comes in pieces of `step` bytes: their number, or the error.
-    fn read(text: &str, step: usize) -> Result<usize, String> {
+    /// Gives a text in pieces of `step` bytes.
+    fn pieces(text: &str, step: usize) -> Box<dyn Read + Send> {
         struct Pieces(io::Cursor<Vec<u8>>, usize);
         impl Read for Pieces {
             fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
@@ -317,8 +341,13 @@ mod tests {
                 self.0.read(&mut buf[..n])
             }
         }
-        let input = Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step));
-        let mut rows = Rows::of(input, Path::new("rows.csv")).map_err(|e| e.to_string())?;
+        Box::new(Pieces(io::Cursor::new(text.as_bytes().to_vec()), step))
+    }
+
+    /// Reads all rows of a text that comes in pieces of `step` bytes: their number, or the error.
+    fn read(text: &str, step: usize) -> Result<usize, String> {
+        let path = Path::new("rows.csv");
+        let mut rows = Rows::of(pieces(text, step), path).map_err(|e| e.to_string())?;
         let mut n = 0;
         while rows.read().map_err(|e| e.to_string())?.is_some() {
             n += 1;
@@ -359,6 +388,25 @@ mod tests {
             // Many short ones are no long one.
             assert_eq!(read(&format!("a,b\n{}", "3,4\n".repeat(1 << 18)), step), Ok(1 << 18));
         }
+    }
+
+    #[test]
+    fn comments_are_no_rows_and_their_lines_count() {
+        let text = "# a\n\n# b \"\na,b\r\n# c\r\n1,2\n#\n\n3,#4\n# d";
+        for step in [1, 2, 3, 7, usize::MAX] {
+            let mut rows =
+                Rows::with(pieces(text, step), Path::new("rows.csv"), Some(b'#')).unwrap();
+            assert_eq!((rows.header().as_slice(), rows.line()), ("ab", 4), "{step}");
+            let mut found = Vec::new();
+            while let Some(row) = rows.read().unwrap() {
+                found.push((row.as_slice().to_owned(), rows.line()));
+            }
+            assert_eq!(found, [("12".to_owned(), 6), ("3#4".to_owned(), 9)], "{step}");
+        }
+        // Many of them are no long row.
+        let text = format!("a,b\n{}1,2\n", "# of no use\n".repeat(10_000));
+        let mut rows = Rows::with(pieces(&text, 4096), Path::new("r"), Some(b'#')).unwrap();
+        assert!(rows.read().unwrap().is_some() && rows.line() == 10_002);
     }
 
     #[test]

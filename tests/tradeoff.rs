@@ -3,11 +3,10 @@
 
 mod cli_common;
 
-use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 use std::time::Duration;
 
-use cli_common::{Bench, Run, XYZ, count_of_class, info, noise_ply, ply_header};
+use cli_common::{Bench, Run, XYZ, count_of_class, info, interrupted, noise_ply, ply_header};
 use pvmap::accuracy::ScanPoints;
 use pvmap::query::Map;
 use pvmap::query::exact::{Exact, ExactOptions};
@@ -329,30 +328,12 @@ fn what_takes_too_long_or_too_much_memory_is_told() {
 fn exit_130_a_stopped_sweep_tells_what_it_knows() {
     let bench = Bench::new();
     noise(&bench);
-    std::fs::create_dir(bench.path("temporary")).unwrap();
     let line = "tradeoff a.octree --pairs 1k --leaf-capacity 100000,50 --csv t.csv --svg t.svg \
                 --progress plain";
-    let mut command = bench.stoppable(line.split_whitespace());
-    command.env("TMPDIR", bench.path("temporary"));
-    command.stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = command.spawn().unwrap();
-    let mut said = BufReader::new(child.stderr.take().unwrap());
-    let mut line = String::new();
-    while !line.contains("2 of 2") {
-        line.clear();
-        assert!(said.read_line(&mut line).unwrap() > 0, "it ended");
-    }
-    std::thread::sleep(Duration::from_millis(300));
-    let kill = format!("kill -INT {}", child.id());
-    assert!(std::process::Command::new("sh").args(["-c", &kill]).status().unwrap().success());
-    let mut rest = String::new();
-    said.read_to_string(&mut rest).unwrap();
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130), "{rest}");
-    let told = String::from_utf8(output.stdout).unwrap();
-    assert!(told.contains("* capacity 100000 "), "{told}");
-    assert!(!told.contains("depth8"), "{told}");
-    assert!(rest.contains("interrupted; nothing was left behind"), "{rest}");
+    let run = interrupted(&bench, line, "2 of 2").exits(130);
+    assert!(run.stdout.contains("* capacity 100000 "), "{}", run.stdout);
+    assert!(!run.stdout.contains("depth8"), "{}", run.stdout);
+    assert!(run.stderr.contains("interrupted; nothing was left behind"), "{}", run.stderr);
     assert_eq!(bench.names(), ["a.octree", "a.ply", "temporary"]);
     assert_eq!(std::fs::read_dir(bench.path("temporary")).unwrap().count(), 0);
 }
@@ -494,4 +475,6 @@ fn committed_tables_have_the_columns_that_are_written() {
         let header = if name.starts_with("defects") { DEFECTS.as_str() } else { SETTINGS };
         assert_eq!(table.lines().next(), Some(header), "{name}");
     }
+    let lights = std::fs::read_to_string(folder.with_file_name("light/cornell.csv")).unwrap();
+    assert_eq!(lights.lines().next(), Some(pvmap::tradeoff::light::table::CSV_HEADER));
 }

@@ -125,9 +125,15 @@ pub(super) struct Args {
     /// Most memory to hold, at least 64MiB
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
+    /// Stop when standard input ends: with whoever started this, whatever became of it
+    #[arg(long, hide = true)]
+    until_input_ends: bool,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Outcome {
+    if args.until_input_ends {
+        context.progress.end_with(std::io::stdin());
+    }
     let (Some(map), Some(lights)) = (&args.map, &args.lights) else {
         write!(io::stdout().lock(), "{EXAMPLE}")?;
         return Ok(ExitCode::SUCCESS);
@@ -175,9 +181,8 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
 
 /// Refuses inputs that are not what they have to be, and an output that is one of them.
 fn check(args: &Args, map: &Path, lights: &Path, output: &Path) -> Result<(), Error> {
-    if args.error < LEAST_ERROR && !args.direct {
-        let what = "multipoles err by 1e-6; give a larger one, or --direct";
-        return Err(Error::Usage(format!("--error {:e}: {what}", args.error)));
+    if !args.direct {
+        require_multipoles(args.error)?;
     }
     let (path, bytes) = map_file(map)?;
     Map::open(&bytes).map_err(|e| Error::of_query(&path, e))?;
@@ -185,6 +190,15 @@ fn check(args: &Args, map: &Path, lights: &Path, output: &Path) -> Result<(), Er
     let inputs: Vec<PathBuf> =
         [map.to_path_buf(), lights.to_path_buf()].into_iter().chain(octree).collect();
     refuse_input(output, &inputs)
+}
+
+/// Refuses an error that multipoles do not keep.
+pub(super) fn require_multipoles(error: f64) -> Result<(), Error> {
+    if error < LEAST_ERROR {
+        let what = "multipoles err by 1e-6; give a larger one, or --direct";
+        return Err(Error::Usage(format!("--error {error:e}: {what}")));
+    }
+    Ok(())
 }
 
 /// Tells what was noticed in a file, with or without progress.
@@ -227,7 +241,7 @@ const ERRORS: Range<f64> = 1e-9..1.0;
 const LEAST_ERROR: f64 = 1e-6;
 
 /// Reads a share: `1%` or `0.01`.
-fn parse_share(text: &str) -> Result<f64, String> {
+pub(super) fn parse_share(text: &str) -> Result<f64, String> {
     let (number, by) = match text.strip_suffix('%') {
         Some(number) => (number, 0.01),
         None => (text, 1.0),

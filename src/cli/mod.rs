@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod build;
+mod columns;
 mod defects;
 mod demo;
 mod exact;

@@ -6,13 +6,14 @@
 //! its map was wrong is a [`Row`]; [`forecast`] what
 //! is known of it before; [`pareto`] says which rows no other beats, and which to take.
 //! [`table`] writes rows as text and CSV, [`plot`] draws them. [`defects`] does the same for scans
-//! of one scene that are worse and worse.
+//! of one scene that are worse and worse, [`light`] for the light of the maps.
 //!
 //! Here no map is built: whoever measures a build gives it a process of its own (`pvmap tradeoff`
 //! runs `pvmap build`), so that its peak of memory is its own. Start reading at [`Sample::draw`].
 
 pub mod defects;
 pub mod forecast;
+pub mod light;
 pub mod pareto;
 pub mod plot;
 mod row;

@@ -5,22 +5,48 @@ use std::str::FromStr;
 
 use super::Row;
 
+/// What a row is judged by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figures {
+    /// Seconds.
+    pub seconds: f64,
+    /// Its error.
+    pub error: f64,
+    /// What the error is at the most: the upper end of its 95 % interval, if it has one.
+    pub most: f64,
+}
+
 /// Says of each row whether no other is at least as quick and as accurate, and better in one of
 /// the two. What was not built is on no front.
 pub fn front(rows: &[Row]) -> Vec<bool> {
-    let figures: Vec<Option<[f64; 2]>> =
-        rows.iter().map(|row| row.built().map(|b| [b.seconds, b.error().value()])).collect();
-    let beats = |a: &[f64; 2], b: &[f64; 2]| a != b && a[0] <= b[0] && a[1] <= b[1];
-    let is_beaten = |of: &[f64; 2]| figures.iter().flatten().any(|other| beats(other, of));
+    front_of(&figures(rows))
+}
+
+/// Does the same for figures; rows that have none are on no front.
+pub fn front_of(figures: &[Option<Figures>]) -> Vec<bool> {
+    let beats = |a: &Figures, b: &Figures| {
+        let is_other = (a.seconds, a.error) != (b.seconds, b.error);
+        is_other && a.seconds <= b.seconds && a.error <= b.error
+    };
+    let is_beaten = |of: &Figures| figures.iter().flatten().any(|other| beats(other, of));
     figures.iter().map(|figure| figure.is_some_and(|f| !is_beaten(&f))).collect()
+}
+
+fn figures(rows: &[Row]) -> Vec<Option<Figures>> {
+    let of_row = |row: &Row| {
+        let built = row.built()?;
+        let (error, [_, most]) = (built.error().value(), built.error().interval());
+        Some(Figures { seconds: built.seconds, error, most })
+    };
+    rows.iter().map(of_row).collect()
 }
 
 /// What somebody wants of a setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wish {
-    /// A share of facing pairs that may be wrong: the quickest such setting.
+    /// A share of facing pairs that may be wrong, or of light: the quickest such setting.
     Error(f64),
-    /// Seconds that a build may take: the most accurate such setting.
+    /// Seconds that a build, or a map and its light, may take: the most accurate such setting.
     Time(f64),
 }
 
@@ -73,34 +99,25 @@ pub struct Choice {
     pub is_met: bool,
 }
 
-/// What a choice is made by.
-#[derive(Debug, Clone, Copy)]
-struct Figures {
-    row: usize,
-    seconds: f64,
-    error: f64,
-    /// The upper end of its 95 % interval.
-    most: f64,
-}
-
 /// Chooses a row: of those whose error is within the wish, at the upper end of its 95 % interval,
 /// the quickest; or of those that are quick enough the most accurate. Where there is none, the row
 /// whose upper end is least, or the quickest. Nothing where nothing was built.
 pub fn choose(rows: &[Row], wish: Wish) -> Option<Choice> {
-    let of_row = |(row, r): (usize, &Row)| {
-        let built = r.built()?;
-        let (error, [_, most]) = (built.error().value(), built.error().interval());
-        Some(Figures { row, seconds: built.seconds, error, most })
-    };
-    let all: Vec<Figures> = rows.iter().enumerate().filter_map(of_row).collect();
+    choose_of(&figures(rows), wish)
+}
+
+/// Does the same by figures, among the rows that have some.
+pub fn choose_of(figures: &[Option<Figures>], wish: Wish) -> Option<Choice> {
+    let found = figures.iter().enumerate().filter_map(|(row, f)| Some((row, (*f)?)));
+    let all: Vec<(usize, Figures)> = found.collect();
     let quickest = |f: &Figures| [f.seconds, f.error];
     let (met, nearest) = match wish {
         Wish::Error(e) => (
-            least(all.iter().filter(|f| f.most <= e), quickest),
+            least(all.iter().filter(|(_, f)| f.most <= e), quickest),
             least(all.iter(), |f| [f.most, f.seconds]),
         ),
         Wish::Time(t) => (
-            least(all.iter().filter(|f| f.seconds <= t), |f| [f.error, f.seconds]),
+            least(all.iter().filter(|(_, f)| f.seconds <= t), |f| [f.error, f.seconds]),
             least(all.iter(), quickest),
         ),
     };
@@ -110,14 +127,14 @@ pub fn choose(rows: &[Row], wish: Wish) -> Option<Choice> {
 
 /// Finds the row with the least first figure; of equals the second decides, then their order.
 fn least<'a>(
-    rows: impl Iterator<Item = &'a Figures>,
+    rows: impl Iterator<Item = &'a (usize, Figures)>,
     key: impl Fn(&Figures) -> [f64; 2],
 ) -> Option<usize> {
-    let by = |a: &&Figures, b: &&Figures| {
+    let by = |(_, a): &&(usize, Figures), (_, b): &&(usize, Figures)| {
         let (a, b) = (key(a), key(b));
         a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
     };
-    rows.min_by(by).map(|f| f.row)
+    rows.min_by(by).map(|found| found.0)
 }
 
 #[cfg(test)]

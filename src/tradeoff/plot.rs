@@ -20,7 +20,8 @@ const MARGINS: [f64; 4] = [76.0, 28.0, 96.0, 72.0];
 /// The height of a line below the axes.
 const LINE: f64 = 20.0;
 
-const STYLE: &str = "\
+/// Classes of what is drawn of a sweep.
+pub(super) const STYLE: &str = "\
 <style>.interval { stroke-width: 1.4; opacity: 0.55 } .front { stroke: #555; stroke-width: 1.2; \
 stroke-dasharray: 2 3; fill: none } .wish { stroke: #b00; stroke-width: 1; stroke-dasharray: 7 4 } \
 .chosen { stroke: #b00; stroke-width: 1.6; fill: none } .leader { stroke: #bbb }</style>
@@ -39,7 +40,7 @@ pub fn draw(rows: &[Row], subject: &Subject, wish: Option<Wish>) -> String {
         subject.judge.words()
     );
     let (groups, below) = (groups(rows), below(rows, wish));
-    let lines = lines_of(groups.iter().map(|group| 34.0 + width_of(group)));
+    let lines = lines_of(WIDTH, groups.iter().map(|group| 34.0 + width_of(group)));
     let n_lines = lines.last().map_or(0, |place| place.0 + 1) + below.len();
     let height = HEIGHT + LINE * n_lines as f64;
     let mut svg = format!("{START}\n{}{STYLE}", begin([WIDTH, height], &title, &subtitle));
@@ -107,11 +108,12 @@ fn color_of(group: usize) -> &'static str {
     COLORS[(group + group / COLORS.len()) % COLORS.len()]
 }
 
-/// Sets things of these widths one after the other: the line of each, and where it begins there.
-fn lines_of(widths: impl Iterator<Item = f64>) -> Vec<(usize, f64)> {
+/// Sets things of these widths one after the other, in lines within a drawing so wide: the line of
+/// each, and where it begins there.
+pub(super) fn lines_of(most_width: f64, widths: impl Iterator<Item = f64>) -> Vec<(usize, f64)> {
     let mut next = (0, 0.0);
     let place = |width: f64| {
-        if next.1 + width > WIDTH - 34.0 && next.1 > 0.0 {
+        if next.1 + width > most_width - 34.0 && next.1 > 0.0 {
             next = (next.0 + 1, 0.0);
         }
         let here = next;
@@ -119,6 +121,20 @@ fn lines_of(widths: impl Iterator<Item = f64>) -> Vec<(usize, f64)> {
         here
     };
     widths.map(place).collect()
+}
+
+/// Sets what is told in lines within a drawing so wide.
+pub(super) fn wrapped(most_width: f64, told: Vec<String>) -> Vec<String> {
+    let widths = told.iter().map(|told| width_of(told) + 2.0 * LETTER[1]);
+    let places = lines_of(most_width, widths);
+    let mut lines: Vec<String> = Vec::new();
+    for (told, (line, _)) in told.into_iter().zip(places) {
+        match lines.get_mut(line) {
+            Some(before) => *before += &format!("; {told}"),
+            None => lines.push(told),
+        }
+    }
+    lines
 }
 
 /// Says what was not built, and what is recommended, in lines.
@@ -131,15 +147,7 @@ fn below(rows: &[Row], wish: Option<Wish>) -> Vec<String> {
         };
         Some(format!("{}: {why}", row.setting.name))
     });
-    let told: Vec<String> = told.collect();
-    let places = lines_of(told.iter().map(|told| width_of(told) + 2.0 * LETTER[1]));
-    let mut lines: Vec<String> = Vec::new();
-    for (told, (line, _)) in told.into_iter().zip(places) {
-        match lines.get_mut(line) {
-            Some(before) => *before += &format!("; {told}"),
-            None => lines.push(told),
-        }
-    }
+    let mut lines = wrapped(WIDTH, told.collect());
     lines.extend(wish.map(|wish| recommendation(rows, Some(wish))));
     lines
 }

@@ -25,6 +25,12 @@ impl Setting {
         Ok(Setting { name, raw, config, by_segment: false })
     }
 
+    /// Gives the setting that is default.
+    pub(super) fn plain() -> Setting {
+        let (raw, config) = (RawConfig::default(), BuildConfig::default());
+        Setting { name: "depth8".to_owned(), raw, config, by_segment: false }
+    }
+
     /// Gives the same setting, its map asked by the segments between places.
     pub fn segments(&self) -> Setting {
         let name = format!("{}, segments", self.name);
@@ -220,6 +226,29 @@ impl Sweep {
         ];
         for axes in steps {
             one(axes)?.settings.into_iter().for_each(|setting| sweep.push(setting));
+        }
+        Ok(sweep)
+    }
+
+    /// Crosses the levels and capacities of one configuration that light takes anything from little
+    /// to much with, and adds two maps whose far pairs are coarse.
+    ///
+    /// # Errors
+    /// Where the configuration is none.
+    pub fn for_light(name: &str, base: &RawConfig) -> Result<Sweep, Error> {
+        let steps = [
+            Axes {
+                max_level: vec![5, 6, 7, 8],
+                leaf_capacity: vec![200, 50, 25],
+                ..Axes::default()
+            },
+            Axes { min_exchange: vec![1e-6], ..Axes::default() },
+            Axes { opening_angle: vec![0.15], ..Axes::default() },
+        ];
+        let mut sweep = Sweep { settings: Vec::new() };
+        for axes in steps {
+            let some = Sweep::of(&[(name.to_owned(), base.clone())], &axes)?;
+            some.settings.into_iter().for_each(|setting| sweep.push(setting));
         }
         Ok(sweep)
     }

@@ -4,15 +4,25 @@ use std::fmt::Write as _;
 use std::io::Write;
 
 use super::pareto::{Choice, Wish, choose, front};
-use super::{Built, Clock, Judge, Outcome, Row, Share, Subject};
+use super::{Built, Clock, Judge, Outcome, Row, Setting, Share, Subject};
+
+// The names of the columns of a setting.
+macro_rules! setting_columns {
+    () => {
+        "setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,opening_angle,\
+         min_form_factor,min_exchange,fractions"
+    };
+}
+pub(super) use setting_columns;
 
 /// The names of the columns of the CSV.
-pub const CSV_HEADER: &str = "\
-setting,mode,tree,profile,spacing,max_level,leaf_capacity,max_spread,opening_angle,\
-min_form_factor,min_exchange,fractions,outcome,build_seconds,visibility_seconds,cpu_seconds,\
-peak_rss_anon_bytes,leaves,links,map_bytes,query_seconds,judge,facing_pairs,wrongly_visible,\
-wrongly_visible_low,wrongly_visible_high,wrongly_invisible,wrongly_invisible_low,\
-wrongly_invisible_high,error,error_low,error_high,squared_error,on_front";
+pub const CSV_HEADER: &str = concat!(
+    setting_columns!(),
+    ",outcome,build_seconds,visibility_seconds,cpu_seconds,\
+     peak_rss_anon_bytes,leaves,links,map_bytes,query_seconds,judge,facing_pairs,wrongly_visible,\
+     wrongly_visible_low,wrongly_visible_high,wrongly_invisible,wrongly_invisible_low,\
+     wrongly_invisible_high,error,error_low,error_high,squared_error,on_front"
+);
 
 /// Writes the rows as CSV: shares 0…1 with the ends of their 95 % intervals, seconds, bytes. What
 /// was not built has empty cells.
@@ -34,8 +44,19 @@ pub fn write_csv(
 
 /// Gives the cells of a row.
 pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String> {
-    let setting = &row.setting;
-    let mut cells: Vec<String> = vec![
+    let mut cells = setting_cells(&row.setting);
+    cells.push(outcome_word(&row.outcome).to_owned());
+    match row.built() {
+        Some(built) => cells.extend(cells_of(built, subject.judge)),
+        None => cells.extend(std::iter::repeat_n(String::new(), N_BUILT_CELLS)),
+    }
+    cells.push(on_front.to_string());
+    cells
+}
+
+/// Gives the cells of a setting.
+pub(super) fn setting_cells(setting: &Setting) -> Vec<String> {
+    vec![
         setting.name.clone(),
         setting.mode(),
         setting.tree().to_owned(),
@@ -48,14 +69,7 @@ pub(super) fn cells(row: &Row, subject: &Subject, on_front: bool) -> Vec<String>
         setting.config.approximation.min_form_factor.to_string(),
         setting.config.approximation.min_exchange.to_string(),
         setting.config.fractions.to_string(),
-        outcome_word(&row.outcome).to_owned(),
-    ];
-    match row.built() {
-        Some(built) => cells.extend(cells_of(built, subject.judge)),
-        None => cells.extend(std::iter::repeat_n(String::new(), N_BUILT_CELLS)),
-    }
-    cells.push(on_front.to_string());
-    cells
+    ]
 }
 
 /// Cells between the outcome and the last.
@@ -148,7 +162,6 @@ fn subject_line(subject: &Subject) -> String {
 }
 
 fn figures(built: &Built) -> String {
-    let mib = |bytes: u64| format!("{:.1} MiB", bytes as f64 / (1 << 20) as f64);
     format!(
         "{:>8.2} {:>10} {:>8} {:>10} {:>10} {:>6.2}  {:<18} {:<18} {}",
         built.seconds,
@@ -161,6 +174,11 @@ fn figures(built: &Built) -> String {
         percent(built.false_invisible()),
         percent(built.error())
     )
+}
+
+/// Writes a size: 12.3 MiB.
+pub(super) fn mib(bytes: u64) -> String {
+    format!("{:.1} MiB", bytes as f64 / (1 << 20) as f64)
 }
 
 /// Writes a share with its interval, in per cent: 0.31 (0.27 – 0.36).

@@ -7,7 +7,7 @@ pub mod faults;
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -208,6 +208,28 @@ impl Run {
         assert!(held <= allowed, "{held} MiB held, {allowed} MiB allowed");
         self
     }
+}
+
+/// Runs a line with the folder `temporary` for what is temporary, and asks it to stop (SIGINT) a
+/// while after it has said a word on stderr.
+pub fn interrupted(bench: &Bench, line: &str, word: &str) -> Run {
+    std::fs::create_dir(bench.path("temporary")).unwrap();
+    let mut command = bench.stoppable(line.split_whitespace());
+    command.env("TMPDIR", bench.path("temporary"));
+    let started = Instant::now();
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.contains(word) {
+        line.clear();
+        assert!(said.read_line(&mut line).unwrap() > 0, "it ended");
+    }
+    std::thread::sleep(Duration::from_millis(300));
+    let kill = format!("kill -INT {}", child.id());
+    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    let rest = listen(Some(said));
+    let run = Run::watch(child, started);
+    Run { stderr: rest.join().unwrap(), ..run }
 }
 
 /// Reads a pipe to its end on a thread of its own.

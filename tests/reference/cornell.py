@@ -1,7 +1,7 @@
-"""Makes cornell.csv: path-traced irradiance at 256 floor and wall points of the Cornell rooms.
+"""Makes the tables here: path-traced irradiance at 256 floor and wall points of the Cornell rooms.
 
-    python cornell.py > cornell.csv     5 minutes on two cores
-    python cornell.py furnace           all glows, half is reflected: 2 everywhere, to 0.1 %
+    python cornell.py              empty-grey.csv and the others, 5 minutes on two cores
+    python cornell.py furnace      all glows, half is reflected: 2 everywhere, to 0.1 %
 
 Needs mitsuba 3.9, numpy and LLVM 16 or newer, which DRJIT_LIBLLVM_PATH may name. Shapes and paints
 are those of `pvmap scene empty` and `furnished`, from pipeline/scene/src/rooms.rs.
@@ -119,26 +119,37 @@ def passes(scene, drawn):
         yield mean(light * at.to_local(to.d).z), np.pi * mean(glow), np.pi * mean(radiance - glow)
 
 
-def table():
-    print(f"""\
-# Irradiance at 256 floor and wall points of the Cornell rooms of `pvmap scene empty` and
-# `furnished`: path-traced by cornell.py with Mitsuba {mi.__version__} (llvm_ad_rgb, paths of any
-# length), {PASSES * STRATA**2} paths a point, stratified. All is Lambertian. The ceiling glows with
-# exitance {EXITANCE:g} in x0, y0, x1, y1 = {LAMP} and reflects there as elsewhere.
-# Points keep {GAP} m from other surfaces. direct: the part straight from the lamp. error: standard
-# error by the spread of {PASSES} passes, a share of the value; the largest of the three channels.
-# Albedo: grey, 0.7; scan, the linear light (red, green, blue) of the scan's sRGB colours:""")
-    for paint in PAINTS:
-        print("#  ", paint, *(f"{c:.6f}" for c in albedo(paint, None)))
-    print("scene,x,y,z,nx,ny,nz,direct,red,green,blue,error")
+def head(name, grey):
+    """What stands over the rows of a table."""
+    yield f"""\
+# Irradiance at 256 floor and wall points of the Cornell room of `pvmap scene {name.split("-")[0]}`:
+# path-traced by cornell.py with Mitsuba {mi.__version__} (llvm_ad_rgb, paths of any length), \
+{PASSES * STRATA**2} paths a
+# point, stratified. All is Lambertian. The ceiling glows with exitance {EXITANCE:g} in x0, y0, x1, y1 =
+# {LAMP} and reflects there as elsewhere. Points keep {GAP} m from other surfaces.
+# direct: the part straight from the lamp. error: standard error by the spread of {PASSES} passes, a share
+# of the value; the largest of the three channels."""
+    if grey:
+        yield f"# Albedo: {grey} everywhere."
+    else:
+        yield "# Albedo: the linear light (red, green, blue) of the scan's sRGB colours:"
+        yield from (" ".join(["#  ", paint, *(f"{c:.6f}" for c in albedo(paint, None))])
+                    for paint in PAINTS)
+    yield "x,y,z,nx,ny,nz,direct,red,green,blue,error"
+
+
+def tables():
     drawn = list(places())
     for name, is_furnished, grey in CASES:
         parts = passes(room(is_furnished, grey), drawn)
         found = np.array([(direct, direct + reflected) for direct, _, reflected in parts])
         direct, light = found.mean(axis=0)
         errors = (found[:, 1].std(axis=0, ddof=1) / PASSES**0.5 / light).max(axis=1)
-        for (p, n), d, rgb, error in zip(drawn, direct[:, 0], light, errors):
-            print(name, *(f"{v:.6g}" for v in [*p, *n, d, *rgb]), f"{error:.5f}", sep=",")
+        with open(f"{name}.csv", "w") as table:
+            print(*head(name, grey), sep="\n", file=table)
+            for (p, n), d, rgb, error in zip(drawn, direct[:, 0], light, errors):
+                numbers = (f"{v:.6g}" for v in [*p, *n, d, *rgb])
+                print(*numbers, f"{error:.5f}", sep=",", file=table)
 
 
 if sys.argv[1:] == ["furnace"]:
@@ -146,4 +157,4 @@ if sys.argv[1:] == ["furnace"]:
     h = np.mean([glow + reflected for _, glow, reflected in found], axis=0)
     print(f"mean {h.mean():.6f}, least {h.min():.6f}, most {h.max():.6f}")
 else:
-    table()
+    tables()

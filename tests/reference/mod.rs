@@ -1,5 +1,5 @@
-//! The table `cornell.csv`: what a path tracer says of light in the Cornell rooms. Its head says
-//! how it was made, by `cornell.py`.
+//! What a path tracer says of light in the Cornell rooms: a table a room, made by `cornell.py`,
+//! whose head says how.
 #![allow(dead_code, unreachable_pub, reason = "every test file uses a part of this")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps nothing")]
 
@@ -37,13 +37,22 @@ impl Reference {
     }
 }
 
-/// Reads the table: 256 rows a scene, of the same places in the same order.
+/// The tables, by what is lit.
+const TABLES: [(&str, &[u8]); 3] = [
+    ("empty-grey", include_bytes!("empty-grey.csv")),
+    ("furnished-grey", include_bytes!("furnished-grey.csv")),
+    ("furnished-scan", include_bytes!("furnished-scan.csv")),
+];
+
+/// Reads the tables: 256 rows a scene, of the same places in the same order.
 pub fn reference() -> Vec<Reference> {
-    let table = include_bytes!("cornell.csv").as_slice();
-    let reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(table);
-    let rows = reader.into_deserialize().map(|row| {
-        let (scene, position, normal, direct, irradiance, error) = row.unwrap();
-        Reference { scene, position, normal, direct, irradiance, error }
+    let rows = TABLES.into_iter().flat_map(|(scene, table)| {
+        let reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(table);
+        reader.into_deserialize().map(|row| {
+            let (position, normal, direct, irradiance, error) = row.unwrap();
+            let scene = scene.to_owned();
+            Reference { scene, position, normal, direct, irradiance, error }
+        })
     });
     rows.collect()
 }

@@ -1,6 +1,7 @@
-//! A build in a process of its own: its peak of memory is then its own, and it can be ended at any
-//! time. What it takes is what `pvmap build --progress json` tells of its stages.
+//! A build or a light in a process of its own: its peak of memory is then its own, and it can be
+//! ended at any time. What it takes is what `pvmap … --progress json` tells of its stages.
 
+use std::ffi::OsString;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -12,87 +13,151 @@ use pvmap::{Error, StoreError, Watch};
 use serde_json::Value;
 
 use super::Args;
-use super::source::Source;
 
 /// The command itself, whatever became of its file meanwhile.
 const SELF: &str = "/proc/self/exe";
 /// How often a wish to stop is looked for.
 const TICK: Duration = Duration::from_millis(50);
-/// The tree outgrows `--memory`, or has too many nodes: all else that ends so was refused before.
-const TOO_LARGE: i32 = 78;
+/// It outgrows `--memory`, has too many nodes, or lights do not fit the map: all else that ends so
+/// was refused before.
+const REFUSED: i32 = 78;
 
-/// How a build ended.
+/// What is shown of a light: its name, and what is counted of it.
+const LIGHT: [&str; 2] = ["light", "stages"];
+
+/// How a build or a light ended.
 pub(super) enum Ended {
-    /// There is a map.
-    Built(Measured),
+    /// It is there.
+    Done(Measured),
     /// It took longer than it may.
     Stopped,
-    /// It cannot be built within the memory: why.
+    /// It cannot be made, within the memory or at all: why.
     Refused(String),
 }
 
-/// What a build took.
+/// What a build or a light took.
 #[derive(Debug, Default)]
 pub(super) struct Measured {
-    pub(super) build_seconds: f64,
+    /// Its stages together.
+    pub(super) seconds: f64,
+    /// Those of a build from the nodes to the last pair decided.
     pub(super) visibility_seconds: f64,
     pub(super) cpu_seconds: f64,
     pub(super) peak_bytes: u64,
 }
 
 impl Measured {
+    /// Gives the seconds that are compared.
+    pub(super) fn of_clock(&self, args: &Args) -> f64 {
+        if args.cpu { self.cpu_seconds } else { self.seconds }
+    }
+
     fn merge(&mut self, other: &Measured) {
-        self.build_seconds = self.build_seconds.min(other.build_seconds);
+        self.seconds = self.seconds.min(other.seconds);
         self.visibility_seconds = self.visibility_seconds.min(other.visibility_seconds);
         self.cpu_seconds = self.cpu_seconds.min(other.cpu_seconds);
         self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
     }
 }
 
-/// A map to be built.
+/// What is to be run.
 pub(super) struct Job<'a> {
-    pub(super) args: &'a Args,
-    pub(super) setting: &'a Setting,
-    pub(super) source: &'a Source,
-    /// Where it goes.
-    pub(super) map: &'a Path,
+    args: &'a Args,
+    /// What it is called in messages.
+    name: String,
+    /// What is shown: the subcommand, and what is counted of it.
+    stage: [&'static str; 2],
+    /// Without those of all jobs.
+    arguments: Vec<OsString>,
+    /// The folder it works in, which stays where it is ended.
+    work: Option<PathBuf>,
+    /// Whether its warnings are handed on.
+    pub(super) is_heard: bool,
 }
 
-/// Builds a map as often as was wished; the least seconds and the most memory count.
+impl<'a> Job<'a> {
+    /// Prepares the build of a setting's map.
+    ///
+    /// # Errors
+    /// Where its configuration cannot be written beside the map.
+    pub(super) fn build(
+        args: &'a Args,
+        setting: &Setting,
+        octree: &Path,
+        map: &Path,
+    ) -> Result<Job<'a>, Error> {
+        let config = map.with_extension("toml");
+        std::fs::write(&config, setting.raw.to_toml()?)
+            .map_err(|e| StoreError::io(&config, "write", e))?;
+        let arguments =
+            ["build".as_ref(), octree, "-o".as_ref(), map, "--config".as_ref(), &config];
+        Ok(Job {
+            args,
+            name: setting.name.clone(),
+            stage: ["build", "pairs"],
+            arguments: arguments.map(OsString::from).into(),
+            work: Some(map.with_extension("vmap.build")),
+            is_heard: true,
+        })
+    }
+
+    /// Prepares a light of a map, with options that say which; the octree is there for rules by
+    /// class.
+    pub(super) fn light(
+        args: &'a Args,
+        name: String,
+        (lights, octree, map): (&Path, &Path, &Path),
+        way: &[String],
+        output: &Path,
+    ) -> Job<'a> {
+        let arguments: [&Path; 8] = [
+            "light".as_ref(),
+            map,
+            "--lights".as_ref(),
+            lights,
+            "--octree".as_ref(),
+            octree,
+            "-o".as_ref(),
+            output,
+        ];
+        let mut arguments: Vec<OsString> = arguments.map(OsString::from).into();
+        arguments.extend(way.iter().map(OsString::from));
+        Job { args, name, stage: LIGHT, arguments, work: None, is_heard: true }
+    }
+}
+
+/// Runs a job as often as was wished; the least seconds and the most memory count.
 ///
 /// # Errors
-/// Where a build cannot be started or fails, or the run is asked to stop.
-pub(super) fn build_often(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
-    let mut ended = build(job, watch)?;
+/// Where it cannot be started or fails, or the run is asked to stop.
+pub(super) fn run_often(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
+    let mut ended = run(job, watch)?;
     for _ in 1..job.args.runs {
-        let Ended::Built(best) = &mut ended else { break };
-        // Where another run takes too long, the map of the first is still there.
-        if let Ended::Built(again) = build(job, watch)? {
+        let Ended::Done(best) = &mut ended else { break };
+        // Where another run takes too long, what the first made is still there.
+        if let Ended::Done(again) = run(job, watch)? {
             best.merge(&again);
         }
     }
     Ok(ended)
 }
 
-/// Builds a map once.
-fn build(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
-    let Job { args, setting, source, map } = job;
-    let config = map.with_extension("toml");
-    std::fs::write(&config, setting.raw.to_toml()?)
-        .map_err(|e| StoreError::io(&config, "write", e))?;
+/// Runs a job once.
+pub(super) fn run(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
+    let Job { args, name, stage: [stage, unit], .. } = job;
     let fail = |e| StoreError::io(Path::new(SELF), "run", e);
     let mut command = Command::new(SELF);
-    command.arg("build").arg(source.octree()).arg("-o").arg(map).arg("--config").arg(&config);
+    command.args(&job.arguments);
     command.arg("--threads").arg(args.threads.to_string());
     command.arg("--memory").arg(args.memory.to_string());
     // Nothing is ever said to it: what it hears is that this process is no more, even if killed.
     command.args(["--progress", "json", "--until-input-ends"]);
     command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
-    watch.stage("build", None, "pairs");
+    watch.stage(stage, None, unit);
     let mut running = Running(command.spawn().map_err(fail)?);
     let lines = lines_of(&mut running.0);
     let deadline = Instant::now() + Duration::from_secs(args.limit);
-    let mut told = Told::default();
+    let mut told = Told { job, measured: Measured::default(), n_pairs: 0, error: String::new() };
     loop {
         match lines.recv_timeout(TICK) {
             Ok(line) => told.hear(&line, watch),
@@ -104,21 +169,21 @@ fn build(job: &Job<'_>, watch: &dyn Watch) -> Result<Ended, Error> {
         if Instant::now() >= deadline {
             running.end();
             // Gone at the end in any case, but the disk may be small.
-            let _ = std::fs::remove_dir_all(map.with_extension("vmap.build"));
+            job.work.iter().for_each(|work| drop(std::fs::remove_dir_all(work)));
             return Ok(Ended::Stopped);
         }
     }
     told.measured.cpu_seconds = cpu_seconds_of(&running.0)?;
     let status = running.0.wait().map_err(fail)?;
     match status.code() {
-        Some(0) => Ok(Ended::Built(told.measured)),
+        Some(0) => Ok(Ended::Done(told.measured)),
         // A signal that was meant for both.
         Some(129 | 130 | 143) if watch.is_stopped() => Err(StoreError::Interrupted.into()),
-        Some(TOO_LARGE) => Ok(Ended::Refused(told.error)),
+        Some(REFUSED) => Ok(Ended::Refused(told.error)),
         code => Err(Error::Command {
             message: match told.error.is_empty() {
-                true => format!("{}: the build ended with {status}", setting.name),
-                false => format!("{}: {}", setting.name, told.error),
+                true => format!("{name}: the {stage} ended with {status}"),
+                false => format!("{name}: {}", told.error),
             },
             code: code.and_then(|code| u8::try_from(code).ok()).unwrap_or(70),
         }),
@@ -177,22 +242,22 @@ fn lines_of(child: &mut Child) -> Receiver<String> {
     lines
 }
 
-/// What was heard of a build.
-#[derive(Debug, Default)]
-struct Told {
+/// What was heard of a job.
+struct Told<'a> {
+    job: &'a Job<'a>,
     measured: Measured,
     n_pairs: u64,
     error: String,
 }
 
-impl Told {
+impl Told<'_> {
     fn hear(&mut self, line: &str, watch: &dyn Watch) {
         if let Some(error) = line.strip_prefix("pvmap: error: ") {
             error.clone_into(&mut self.error);
             return;
         }
         let Ok(said) = serde_json::from_str::<Value>(line) else { return };
-        if let Some(warning) = said["warning"].as_str() {
+        if let Some(warning) = said["warning"].as_str().filter(|_| self.job.is_heard) {
             watch.warn(warning);
         }
         let stage = said["stage"].as_str().unwrap_or_default();
@@ -204,11 +269,14 @@ impl Told {
         }
         if said["ended"] == true {
             let seconds = said["seconds"].as_f64().unwrap_or(0.0);
-            self.measured.build_seconds += seconds;
+            self.measured.seconds += seconds;
             if ["prepare", "visibility"].contains(&stage) {
                 self.measured.visibility_seconds += seconds;
             }
             self.measured.peak_bytes = self.measured.peak_bytes.max(number("rss_anon_bytes"));
+            if self.job.stage == LIGHT {
+                watch.advance(1);
+            }
         }
     }
 }

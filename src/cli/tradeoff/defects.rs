@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::super::defects::{parse_length, parse_missing, parse_ratio, parse_share};
 use super::super::{Context, Outcome, parse_some, print_json};
 use super::source::{self, Source};
-use super::{Args, Outputs, check_pairs, measure_all, rows_json, subject, sweep_of};
+use super::{Args, Outputs, measure_all, n_pairs, rows_json, subject, sweep_of};
 
 /// The settings that are tried on every scan, where none are asked for.
 const SETTINGS: [&str; 2] = ["depth8", "accurate"];
@@ -118,11 +118,11 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
         return Err(Error::Usage(format!("--density: give 1 to {MOST_POINTS}")).into());
     }
     let settings = sweep_of(args, &SETTINGS)?.settings;
-    check_pairs(args)?;
+    let n_pairs = n_pairs(args)?;
     let outputs = Outputs::begin(args, &table::CSV_HEADER)?;
     let scene = Scene::new(kind, args.seed);
     let mut cases = Vec::new();
-    match measure(args, &scene, n_points, &settings, context, &mut cases) {
+    match measure(args, &scene, (n_points, n_pairs), &settings, context, &mut cases) {
         Ok(()) => outputs.finish(
             |file| table::write_csv(file, &cases),
             || plot::draw(&cases),
@@ -144,7 +144,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
 fn measure(
     args: &Args,
     scene: &Scene,
-    n_points: u64,
+    (n_points, n_pairs): (u64, u64),
     settings: &[Setting],
     context: &Context,
     cases: &mut Vec<Case>,
@@ -169,7 +169,7 @@ fn measure(
         let view = source.view(&file)?;
         let points = ScanPoints::new(&view, source.octree())?;
         let truth = Truth::Recorded(&scan);
-        let drawn = limits.run(|| Sample::draw(&truth, &points, (args.pairs, args.seed), watch))?;
+        let drawn = limits.run(|| Sample::draw(&truth, &points, (n_pairs, args.seed), watch))?;
         let sample = drawn.map_err(|e| source.named(e))?;
         let subject = subject(args, view.summary().n_points, &sample, Judge::Geometry)?;
         let mut rows = Vec::new();

@@ -2,6 +2,10 @@
 
 mod child;
 mod defects;
+mod light;
+mod maps;
+mod outputs;
+mod places;
 mod source;
 
 use std::io::{self, Write};
@@ -11,23 +15,23 @@ use std::process::ExitCode;
 use pvmap::accuracy::{ScanPoints, Way};
 use pvmap::config::{RawConfig, RawProfile, RawSpacing, RawTree};
 use pvmap::query::Map;
-use pvmap::tradeoff::forecast::{self, CutTree};
 use pvmap::tradeoff::pareto::{Wish, choose, front};
 use pvmap::tradeoff::table::{self, CSV_HEADER};
 use pvmap::tradeoff::{
     Axes, Built, Clock, Judge, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
 };
 use pvmap::vmap::OctreeView;
-use pvmap::{Error, Limits, Mapped, StoreError, TableFile, Watch, begin_table, is_stdout};
+use pvmap::{Error, Limits, Mapped, StoreError, Watch};
 use serde_json::{Value, json};
 
-use self::child::{Ended, Job, Measured};
+use self::child::Measured;
 use self::defects::DefectArgs;
+use self::light::LightArgs;
+use self::maps::{Made, Maps, built_of};
+use self::outputs::Outputs;
 use self::source::Source;
 use super::threads_parser;
-use super::{
-    Context, Outcome as Answer, one_line, parse_count, parse_some, print_json, refuse_input,
-};
+use super::{Context, Outcome as Answer, one_line, parse_count, parse_some, print_json};
 
 /// Show what each setting of a build costs and buys: time, memory, size, error
 #[derive(Debug, clap::Args)]
@@ -76,6 +80,29 @@ a map is wrong, too, where noise moved a point out of sight or its normal has th
 --estimate-normals points have the exact normals of their surfaces, however noisy they are; those
 that have none are estimated. The plot has a panel a defect and a line a setting.
 
+Light: with --lights no pairs are asked. Each map is lit in several ways, each by a pvmap light of
+its own: by multipoles of orders 1 to 5, pair by pair, and for errors of 5 %, 1 % and 0.2 %; with
+any of --order, --direct and --error by these alone. By --order and --direct as much is left to
+solve as pvmap light leaves without --error. Without any of the options from --config to --fractions
+maps are of levels 5 to 8 with capacities of 200, 50 and 25, and depth8 with a least exchange of
+1e-6 and with an opening angle of 0.15.
+With --irradiance a light is held against what is known of places: there it is interpolated as pvmap
+export does, and its differences in red, green and blue are added up, as a share of what is known; a
+column irradiance is held against the mean of the three. Other columns are ignored, and lines that
+begin with #. Places farther than four half spacings from the surfaces of a map are left out, and
+counted. Without --irradiance the light of the same map, pair by pair to 1e-6, is held against: that
+is a reference and not truth, for it has the errors of the map itself. Then all surfels count by
+their area, but those without a normal are left out, and differences are shares of the mean
+irradiance. Columns:
+  map, light, both     seconds: from the octree to the map, from the map to the light, together
+  memory               most anonymous memory of the lighting process, of all runs
+  order, rounds        of the multipoles, - where there are none; rounds of the solver
+  error                mean of the absolute differences
+  bias, largest        mean of the differences, above 0 where it is too bright; the largest of them
+  left out             places on no surface of the map, or surfels without a normal
+Stars and --want go by both and error, which has no interval here. The plot has a panel for the
+seconds of the light alone and one for those of both, and a color for maps of a capacity and kind.
+
 The same seed gives the same pairs, and the same counts on any machine; seconds and memory are those
 of this one. Ctrl-C prints what is measured so far; files are then not written. Maps and what is
 generated lie in the system's folder for temporary files (TMPDIR) until the end.
@@ -86,6 +113,8 @@ Examples:
   pvmap tradeoff furnished --config depth8,accurate --segment
   pvmap tradeoff grotto.octree --max-level 6,7,8 --leaf-capacity 25,50,100 --limit 600
   pvmap tradeoff furnished --noise 1mm,3mm,1cm --holes 5%,20% --csv rough.csv --svg rough.svg
+  pvmap tradeoff furnished --lights lamp.toml --cpu --svg light.svg --want error=1%
+  pvmap tradeoff hall.octree --lights lamps.toml --irradiance lux.csv --config depth8 --order 2,3
   pvmap tradeoff room.ply --truth room.mesh.ply --config depth8,paper,mine.toml --want time=30s")]
 pub(super) struct Args {
     /// A scene to generate, a scan file, or an octree, as pvmap ingest
@@ -98,9 +127,9 @@ pub(super) struct Args {
     /// How many points a generated scene has [default: 400k]
     #[arg(long, value_parser = parse_count, value_name = "N")]
     points: Option<u64>,
-    /// How many pairs are drawn
-    #[arg(long, default_value = "100k", value_parser = parse_some, value_name = "N")]
-    pairs: u64,
+    /// How many pairs are drawn [default: 100k]
+    #[arg(long, value_parser = parse_some, value_name = "N")]
+    pairs: Option<u64>,
     /// What pairs and generated points are drawn from
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
@@ -166,10 +195,10 @@ pub(super) struct Args {
     /// own
     #[arg(long, verbatim_doc_comment)]
     segment: bool,
-    /// Seconds that a build may take
+    /// Seconds that a build may take, and each light
     #[arg(long, default_value_t = 300, value_name = "SECONDS")]
     limit: u64,
-    /// How often each map is built; the quickest counts
+    /// How often maps are built, and lit; the quickest counts
     #[arg(
         long,
         default_value_t = 1,
@@ -196,22 +225,30 @@ pub(super) struct Args {
     /// Replace files of those names whatever they are
     #[arg(long)]
     overwrite: bool,
-    /// Threads of a build; 0 takes as many as the machine has
+    /// Threads of a build or light; 0 takes as many as there are
     #[arg(long, default_value_t = 0, value_name = "N", value_parser = threads_parser())]
     threads: usize,
-    /// Most memory of a build or of the triangles
+    /// Most memory of a build, a light or the triangles
     #[arg(long, default_value = "1GiB", value_parser = pvmap::parse_memory, value_name = "SIZE")]
     memory: u64,
     #[command(flatten, next_help_heading = "Defects of a generated scan")]
     defects: DefectArgs,
+    #[command(flatten, next_help_heading = "Light of the maps")]
+    lights: Box<LightArgs>,
 }
 
 pub(super) fn run(args: &Args, context: &Context) -> Answer {
     if args.defects.are_asked_for() {
+        if args.lights.are_asked_for() {
+            return Err(light::refused("--defects and its kinds").into());
+        }
         return defects::run(args, context);
     }
+    if args.lights.are_asked_for() {
+        return light::run(args, context);
+    }
     let sweep = sweep(args)?;
-    check_pairs(args)?;
+    let n_pairs = n_pairs(args)?;
     let outputs = Outputs::begin(args, CSV_HEADER)?;
     let watch = &context.progress;
     let limits = Limits { threads: args.threads, memory_bytes: args.memory };
@@ -220,7 +257,7 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let view = source.view(&file)?;
     let (truth, judge) = source.truth(&view, &limits, watch)?;
     let points = ScanPoints::new(&view, source.octree())?;
-    let drawn = limits.run(|| Sample::draw(&truth, &points, (args.pairs, args.seed), watch))?;
+    let drawn = limits.run(|| Sample::draw(&truth, &points, (n_pairs, args.seed), watch))?;
     let sample = drawn.map_err(|e| source.named(e))?;
     let subject = subject(args, view.summary().n_points, &sample, judge)?;
     let mut rows = Vec::new();
@@ -244,12 +281,17 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     Ok(ExitCode::SUCCESS)
 }
 
-fn check_pairs(args: &Args) -> Result<(), Error> {
-    if args.pairs > Sample::MAX_PAIRS {
-        let message = format!("--pairs: {}, the most are {}", args.pairs, Sample::MAX_PAIRS);
-        return Err(Error::Usage(message));
+/// Pairs that are drawn where no other number is asked for.
+const PAIRS: u64 = 100_000;
+
+/// Says how many pairs to draw.
+fn n_pairs(args: &Args) -> Result<u64, Error> {
+    match args.pairs.unwrap_or(PAIRS) {
+        n if n > Sample::MAX_PAIRS => {
+            Err(Error::Usage(format!("--pairs: {n}, the most are {}", Sample::MAX_PAIRS)))
+        }
+        n => Ok(n),
     }
-    Ok(())
 }
 
 /// Says what the pairs of a scan are.
@@ -323,58 +365,29 @@ fn measure_all(
     context: &Context,
     rows: &mut Vec<Row>,
 ) -> Result<(), Error> {
-    let watch = &context.progress;
-    let limits = Limits { threads: args.threads, memory_bytes: args.memory };
+    let maps = Maps { args, source, view, n: settings.len(), watch: &context.progress };
     for (i, setting) in settings.iter().enumerate() {
-        watch.check()?;
-        watch.note(&format!("{} of {}: {}", i + 1, settings.len(), setting.name));
-        let map = source.file(&format!("{i}.vmap"));
-        let cut = limits.run(|| CutTree::of(view, setting, args.memory, watch))??;
-        let known = cut.and_then(|cut| foreseen(args, rows, setting, &cut, watch));
-        let job = Job { args, setting, source, map: &map };
+        let (cut, made) = maps.make(i, setting, rows)?;
         let mut by_segment = None;
-        let outcome = match known {
-            Some(outcome) => outcome,
-            None => match child::build_often(&job, watch)? {
-                Ended::Stopped => Outcome::Stopped(args.limit as f64),
-                Ended::Refused(why) => Outcome::Refused(why),
-                Ended::Built(measured) => {
-                    let built = ask(args, (setting, &map), sample, &measured, watch)?;
-                    if args.segment {
-                        let setting = setting.segments();
-                        let built = ask(args, (&setting, &map), sample, &measured, watch)?;
-                        by_segment =
-                            Some(Row { setting, cut: None, outcome: Outcome::Built(built) });
-                    }
-                    Outcome::Built(built)
+        let outcome = match made {
+            Made::Not(outcome) => outcome,
+            Made::Map(map, measured) => {
+                let ask = |setting: &Setting| {
+                    ask(args, (setting, map.path()), sample, &measured, &context.progress)
+                };
+                let built = ask(setting)?;
+                if args.segment {
+                    let setting = setting.segments();
+                    let outcome = Outcome::Built(ask(&setting)?);
+                    by_segment = Some(Row { setting, cut: None, outcome });
                 }
-            },
+                Outcome::Built(built)
+            }
         };
-        // Gone at the end in any case.
-        let _ = std::fs::remove_file(&map);
         rows.push(Row { setting: setting.clone(), cut, outcome });
         rows.extend(by_segment);
     }
     Ok(())
-}
-
-/// Says what becomes of a setting, where that is known without a build; else tells what to expect.
-fn foreseen(
-    args: &Args,
-    rows: &[Row],
-    setting: &Setting,
-    cut: &CutTree,
-    watch: &dyn Watch,
-) -> Option<Outcome> {
-    if let Some(row) = forecast::same_map(rows, setting, cut) {
-        return Some(Outcome::Same(row.setting.name.clone()));
-    }
-    let expected = forecast::expected_seconds(rows, setting, cut)?;
-    if forecast::is_hopeless(expected, args.limit) {
-        return Some(Outcome::NotBegun(expected));
-    }
-    watch.note(&format!("{} leaves, some {expected:.1} s expected", cut.n_leaves));
-    None
 }
 
 fn told(name: &str, built: &Built) -> String {
@@ -400,85 +413,9 @@ fn ask(
         Error::Query(e) => Error::of_query(path, e),
         e => e,
     })?;
-    let summary = map.view().summary();
-    let built = Built {
-        seconds: if args.cpu { measured.cpu_seconds } else { measured.build_seconds },
-        cpu_seconds: measured.cpu_seconds,
-        build_seconds: measured.build_seconds,
-        visibility_seconds: measured.visibility_seconds,
-        peak_bytes: measured.peak_bytes,
-        n_leaves: summary.n_surfels.into(),
-        n_links: summary.n_links,
-        map_bytes: bytes.len() as u64,
-        tally,
-    };
+    let built = Built { tally, ..built_of(args, &map, bytes.len() as u64, measured) };
     watch.note(&told(&setting.name, &built));
     Ok(built)
-}
-
-/// The files that were asked for, begun before any work.
-struct Outputs {
-    csv: Option<TableFile>,
-    svg: Option<TableFile>,
-}
-
-impl Outputs {
-    fn begin(args: &Args, csv_start: &'static str) -> Result<Outputs, Error> {
-        let on_stdout = |path: &Option<PathBuf>| path.as_deref().is_some_and(is_stdout);
-        let n_on_stdout = [args.json, on_stdout(&args.csv), on_stdout(&args.svg)];
-        if n_on_stdout.into_iter().filter(|&is| is).count() > 1 {
-            let message = "standard output has room for one of --json, --csv - and --svg -";
-            return Err(Error::Usage(message.to_owned()));
-        }
-        let inputs = source::inputs(args);
-        for output in args.csv.iter().chain(&args.svg).filter(|path| !is_stdout(path)) {
-            refuse_input(output, &inputs)?;
-        }
-        if args.csv.is_some() && args.csv == args.svg {
-            return Err(Error::Usage("--csv and --svg cannot be one file".to_owned()));
-        }
-        let begin = |path: &Option<PathBuf>, start| {
-            path.as_deref().map(|path| begin_table(path, start, args.overwrite)).transpose()
-        };
-        Ok(Outputs { csv: begin(&args.csv, csv_start)?, svg: begin(&args.svg, plot::START)? })
-    }
-
-    /// Says whether one of them is what standard output is for.
-    fn are_stdout(&self) -> bool {
-        self.csv.iter().chain(&self.svg).any(|file| is_stdout(file.path()))
-    }
-
-    /// Writes them, and the answer where standard output is free for it.
-    fn finish(
-        self,
-        csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-        drawing: impl FnOnce() -> String,
-        print: impl FnOnce() -> io::Result<()>,
-    ) -> anyhow::Result<()> {
-        let is_free = !self.are_stdout();
-        let mut closed = Vec::new();
-        if let Some(mut file) = self.csv {
-            let path = file.path().to_path_buf();
-            csv(&mut file).map_err(|e| failed(&path, e))?;
-            closed.extend(file.close()?);
-        }
-        if let Some(mut file) = self.svg {
-            let path = file.path().to_path_buf();
-            file.write_all(drawing().as_bytes()).map_err(|e| failed(&path, e))?;
-            closed.extend(file.close()?);
-        }
-        for file in closed {
-            file.publish(false)?;
-        }
-        if is_free {
-            print()?;
-        }
-        Ok(())
-    }
-}
-
-fn failed(path: &Path, e: io::Error) -> Error {
-    StoreError::io(path, "write", e).into()
 }
 
 fn print(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> io::Result<()> {
@@ -511,30 +448,33 @@ fn as_json(args: &Args, rows: &[Row], subject: &Subject, is_stopped: bool) -> Va
 
 fn rows_json(rows: &[Row]) -> Vec<Value> {
     let of_row = |(row, on_front): (&Row, bool)| {
-        let setting = &row.setting;
-        let mut value = json!({
-            "setting": setting.name,
-            "mode": setting.mode(),
-            "tree": setting.tree(),
-            "profile": setting.profile(),
-            "spacing": setting.spacing(),
-            "max_level": setting.config.max_level,
-            "leaf_capacity": setting.config.leaf_capacity,
-            "max_spread": setting.config.max_spread,
-            "opening_angle": setting.config.approximation.opening_angle,
-            "min_form_factor": setting.config.approximation.min_form_factor,
-            "min_exchange": setting.config.approximation.min_exchange,
-            "fractions": setting.config.fractions,
-            "outcome": table::outcome_word(&row.outcome),
-            "why_not": row.outcome.why_not(),
-            "on_front": on_front,
-        });
-        if let (Some(value), Some(built)) = (value.as_object_mut(), row.built()) {
-            value.extend(built_json(built));
-        }
-        value
+        let mut value = setting_json(&row.setting);
+        value.insert("outcome".to_owned(), json!(table::outcome_word(&row.outcome)));
+        value.insert("why_not".to_owned(), json!(row.outcome.why_not()));
+        value.insert("on_front".to_owned(), json!(on_front));
+        value.extend(row.built().into_iter().flat_map(built_json));
+        Value::from(value)
     };
     rows.iter().zip(front(rows)).map(of_row).collect()
+}
+
+/// Gives what a setting is, as keys and values.
+fn setting_json(setting: &Setting) -> serde_json::Map<String, Value> {
+    let fields = [
+        ("setting", json!(setting.name)),
+        ("mode", json!(setting.mode())),
+        ("tree", json!(setting.tree())),
+        ("profile", json!(setting.profile())),
+        ("spacing", json!(setting.spacing())),
+        ("max_level", json!(setting.config.max_level)),
+        ("leaf_capacity", json!(setting.config.leaf_capacity)),
+        ("max_spread", json!(setting.config.max_spread)),
+        ("opening_angle", json!(setting.config.approximation.opening_angle)),
+        ("min_form_factor", json!(setting.config.approximation.min_form_factor)),
+        ("min_exchange", json!(setting.config.approximation.min_exchange)),
+        ("fractions", json!(setting.config.fractions)),
+    ];
+    fields.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()
 }
 
 fn built_json(built: &Built) -> serde_json::Map<String, Value> {

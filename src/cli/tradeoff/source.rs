@@ -35,6 +35,7 @@ pub(super) fn inputs(args: &Args) -> Vec<PathBuf> {
     let source = &args.source;
     let source = if source.is_dir() { source.join(FILE_NAME) } else { source.clone() };
     let read = std::iter::once(source).chain(args.truth.clone()).chain(args.config.clone());
+    let read = read.chain(args.lights.inputs());
     // Names of scenes and presets are no files.
     read.filter(|path| path.exists()).collect()
 }
