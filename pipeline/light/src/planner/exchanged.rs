@@ -36,12 +36,22 @@ impl Lighting<'_> {
         };
         let n = near.len();
         // The middles of a pair may be wrong by all that it exchanges; none sends more than the
-        // brightest, and all together what is sent.
+        // brightest, but for what mirrors and lenses gather.
         let kernel = Kernel::default();
-        let exchanged =
-            |&[i, j]: &[u32; 2]| kernel.exchange(&self.elements, i as usize, j as usize);
-        let all: f64 = near.iter().map(exchanged).sum();
-        let flux = 3.0 * 2.0 * all * shining.most * shining.growth;
+        let mut shares = vec![0.0; self.elements.len()];
+        let mut all = 0.0;
+        for ids in near {
+            let [i, j] = ids.map(|id| id as usize);
+            let exchanged = kernel.exchange(&self.elements, i, j);
+            all += exchanged;
+            [i, j].into_iter().for_each(|id| shares[id] += exchanged / self.elements.areas()[id]);
+        }
+        let gathered = match shining.all_thrown() {
+            0.0 => 0.0,
+            flux => flux * self.max_albedo() * shining.growth,
+        };
+        let most = shares.into_iter().fold(0.0, f64::max);
+        let flux = 3.0 * 2.0 * all * shining.most * shining.growth + gathered * most;
         let what = format!("{n} pairs nearer than 3 radii, as {i} and {j}");
         Call::on(what, shining.lasting(flux))
             .if_worth(self.options.worth)

@@ -1,8 +1,9 @@
 //! Whether light escapes from a scene.
 
+use pvmap_store::Watch;
 use rayon::prelude::*;
 
-use crate::error::LightError;
+use crate::error::{LightError, check};
 use crate::incident::{Air, FAR, N_DIRECTIONS, cosine_directions};
 use crate::lighting::Lighting;
 use crate::plan::Outlook;
@@ -26,11 +27,11 @@ const BESIDE_RADII: f64 = 0.5;
 impl Lighting<'_> {
     /// Looks for ways out, and says whether the scene counts as closed but for these. What it has
     /// wrong of them makes less than the error that is asked for, if not too many looks are needed.
-    pub(super) fn outlook(&self) -> Result<Outlook, LightError> {
+    pub(super) fn outlook(&self, watch: &dyn Watch) -> Result<Outlook, LightError> {
         let rho = self.max_albedo();
         // How many times the share that leads out is missing in all light.
         let often = if rho < 1.0 { rho / (1.0 - rho) } else { f64::INFINITY };
-        let first = self.look_out(N_LOOKED_FROM)?;
+        let first = self.look_out(N_LOOKED_FROM, watch)?;
         let off = OFF * self.options.error / often;
         let wanted = first.open_share / (off * off);
         let is_enough = wanted <= first.n_directions as f64 || first.open_share >= CLOSED;
@@ -39,13 +40,16 @@ impl Lighting<'_> {
         }
         // `as` cuts what is too much.
         let n_elements = (wanted / N_DIRECTIONS as f64).ceil() as usize;
-        self.look_out(n_elements.min(MOST_LOOKED_FROM))
+        self.look_out(n_elements.min(MOST_LOOKED_FROM), watch)
     }
 
-    fn look_out(&self, n_elements: usize) -> Result<Outlook, LightError> {
+    fn look_out(&self, n_elements: usize, watch: &dyn Watch) -> Result<Outlook, LightError> {
         let air = Air::new(self.map, &self.elements);
         let ids = self.some(n_elements);
-        let looks = ids.par_iter().map(|&id| self.leading_out(&air, id));
+        let looks = ids.par_iter().map(|&id| {
+            check(watch)?;
+            self.leading_out(&air, id)
+        });
         let looks = looks.collect::<Result<Vec<_>, LightError>>()?;
         let rows = || {
             let areas = ids.iter().map(|&id| self.elements.areas()[id as usize]);
