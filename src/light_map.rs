@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use pvmap_light::{
-    Elements, Gloss, Lamp, LightError, LightOptions, Lighting, Lit, Plan, Scaling, Work,
-    areas_grid2,
+    Elements, Gloss, Lamp, LightError, LightOptions, Lighting, Lit, MAX_ROUNDS, Plan, Scaling,
+    Work, areas_grid2,
 };
 use pvmap_query::Map;
 use pvmap_store::output::folder_of;
@@ -62,6 +62,8 @@ pub struct LightReport {
 pub struct LightDone {
     /// As it stands in the file.
     pub summary: LightSummary,
+    /// The share of light that a bounce leaves at the most; 0 where nothing is reflected.
+    pub reflected: f64,
     /// What was touched.
     pub work: Work,
     /// Bytes of the file.
@@ -151,6 +153,7 @@ fn run(
         let made = (&lit, &gloss[..], &areas[..]);
         report.notes_after.extend(note_of_flux(&given, lit.from_lamps));
         report.notes_after.extend(note_of_rows(&lit, scene.row_tolerance()));
+        report.notes_after.extend(note_of_gloss(lit.left_to_throw));
         report.done = Some(write(output, &text, (request, map.view(), &lights), made, watch)?);
     }
     Ok(report)
@@ -276,6 +279,17 @@ fn note_of_flux(lamps: &[Lamp], arrives: [f64; 3]) -> Option<String> {
     Some(format!("lamps give {given}, {arrives} arrives ({:.0} %){why}", 100.0 * share))
 }
 
+/// Says what mirrors and lenses did not send on any more, if it went on for too long.
+fn note_of_gloss(left: f64) -> Option<String> {
+    (left > 0.0).then(|| {
+        format!(
+            "light goes by way of mirrors and glass, is reflected and goes there again: after \
+             {MAX_ROUNDS} rounds {:.2} % of all that shines is on its way there, and left out",
+            100.0 * left
+        )
+    })
+}
+
 fn write(
     output: &Path,
     (lights_text, plan_text): &(String, String),
@@ -322,7 +336,7 @@ fn write(
         factors: &factors,
     };
     let output_bytes = write_light(output, &content, watch)?;
-    Ok(LightDone { summary, work: lit.work, output_bytes })
+    Ok(LightDone { summary, reflected: lit.reflected, work: lit.work, output_bytes })
 }
 
 /// Says which map an error is about, where the map is to blame.

@@ -83,6 +83,16 @@ fn what_is_noticed_is_told_without_progress_too() {
 }
 
 #[test]
+fn n74_it_is_told_what_a_bounce_leaves_at_the_most() {
+    let bench = lit(&format!("{LAMP}[[material]]\nbox = [-1, -1, -1, 1, 1, -1]\nalbedo = 0.8\n"));
+    let light = "light room.vmap --lights lights.toml";
+    let told = bench.line(light).ok().stdout;
+    assert!(told.contains("; a bounce leaves at most 80.00 % of it\n"), "{told}");
+    let told = bench.line(&format!("{light} --no bounces")).ok().stdout;
+    assert!(!told.contains("a bounce leaves"), "{told}");
+}
+
+#[test]
 fn flux_is_told_by_channel() {
     let bench = lit("[albedo]\nfrom = 0.5\n[[glow]]\nall = true\nexitance = [1, 0, 2]\n");
     let stdout = bench.line("light room.vmap --lights lights.toml").ok().stdout;

@@ -79,13 +79,15 @@ fn n75_a_furnace_of_albedo_one_half_is_twice_as_bright_as_it_shines() {
             // B = 1 + H / 2, and what arrives is short by what rows are.
             let short = told.row_error + told.residual;
             assert!(mean <= short + 1e-7, "{kind:?} {options}: {mean:e} of {told:?}");
-            // Rows of narrow gaps are not yet that near after as many rounds as are made.
-            if kind == SceneKind::Empty || !options.contains("direct") {
-                assert!(mean <= bound, "{kind:?} {options}: {mean:e}");
-            }
-            // On average they are; the worst, along edges, are some 8 times as far off.
-            let is_told = kind == SceneKind::Furnished || most <= 5.0 * bound;
-            assert!(is_told, "{kind:?} {options}: {most:e} somewhere");
+            assert!(mean <= bound, "{kind:?} {options}: {mean:e}");
+            // Rows are right on average, where so little is asked for everywhere; the worst, along
+            // edges, are some 8 times as far off, and those of narrow gaps more.
+            let most_off = match (options.contains("direct"), kind) {
+                (true, _) => bound,
+                (false, SceneKind::Empty) => 5.0 * bound,
+                (false, _) => f64::INFINITY,
+            };
+            assert!(most <= most_off, "{kind:?} {options}: {most:e} somewhere");
         }
     }
 }
@@ -183,6 +185,95 @@ fn n67_an_integrating_sphere_spreads_flux_evenly() {
             assert!(most <= 0.02, "albedo {rho} {options}: uneven by {most:e}");
         }
     }
+}
+
+/// Rows of places of a level rectangle, in the middles of squares of a side, with a normal.
+fn level([x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64, side: f64, up: f32) -> Vec<Spot> {
+    let n = |from: f64, to: f64| ((to - from) / side).round() as usize;
+    let at = |from: f64, k: usize| from + side * (k as f64 + 0.5);
+    let rows = (0..n(x0, x1)).flat_map(|i| (0..n(y0, y1)).map(move |j| (i, j)));
+    rows.map(|(i, j)| ([at(x0, i), at(y0, j), z], [0.0, 0.0, up])).collect()
+}
+
+/// A place and its normal.
+type Spot = ([f64; 3], [f32; 3]);
+
+/// Builds what faces up and what is above it, in leaves of a number of points.
+fn built_of(pieces: &[Vec<Spot>], leaf_capacity: u32) -> Bench {
+    let (places, normals) = pieces.concat().into_iter().unzip();
+    let positions = Positions::Double(places);
+    let cloud = Cloud { positions, normals: Some(normals), colors: None };
+    built(&cloud, &format!("--leaf-capacity {leaf_capacity} --max-spread 0"))
+}
+
+/// The unit square at a height of 2 shines down, nothing reflects.
+const SQUARE: &str = "[albedo]\nfrom = 0\n[[area]]\ncorner = [0, 0, 2]\n\
+                      sides = [[0, 1, 0], [1, 0, 0]]\nexitance = 1\n";
+
+#[test]
+fn answer_10_a_blocker_before_an_area_lamp() {
+    // One surfel under its middle, and at half its height one that blocks.
+    let receiver = level([0.45, 0.55], [0.45, 0.55], 0.0, 0.01, 1.0);
+    for (side, expected, bound) in
+        [(0.0, 0.073_478, 1e-5), (0.25, 0.053_989, 1e-3), (0.5, 0.0, 0.0)]
+    {
+        let across = [0.5 - side / 2.0, 0.5 + side / 2.0];
+        let blocker = level(across, across, 1.0, side / 25.0, -1.0);
+        let bench = built_of(&[receiver.clone(), blocker], 1000);
+        let (light, table) = (lit(&bench, SQUARE, ""), irradiance);
+        let n = bench.with_map("room.vmap", |map| map.summary().n_surfels);
+        assert_eq!(n, if side > 0.0 { 2 } else { 1 });
+        // Binned by normals: what faces down comes last.
+        let found = table(&light)[0];
+        let off = (found - expected).abs();
+        assert!(off <= bound * expected, "{side}: {found}, not {expected}");
+    }
+}
+
+/// What a level place at height 0 gets of a strip of the lamp, a unit of its width, by quadrature.
+fn of_strip([x, y]: [f64; 2], u: f64) -> f64 {
+    let n = 200;
+    let part = |k: usize| {
+        let v = (k as f64 + 0.5) / n as f64;
+        let r2 = (u - x).powi(2) + (v - y).powi(2) + 4.0;
+        4.0 / (PI * r2 * r2)
+    };
+    (0..n).map(part).sum::<f64>() / n as f64
+}
+
+#[test]
+fn an_area_lamp_casts_a_soft_shadow() {
+    // Half way up all is covered up to x = 0.5, so that a place at x sees the lamp from 1 - x on.
+    // What covers is one leaf: between patches of points on a grid there are gaps.
+    let floor = level([-0.5, 1.5], [0.4, 0.6], 0.0, 0.0025, 1.0);
+    let cover = level([-1.0, 0.5], [-0.5, 1.5], 1.0, 0.0625, -1.0);
+    let bench = built_of(&[floor, cover], 800);
+    let light = lit(&bench, SQUARE, "");
+    // Binned by normals: the floor comes first.
+    let places: Vec<[f64; 3]> = bench.with_map("room.vmap", |map| {
+        let surfels = (0..map.summary().n_surfels).map(|id| map.surfel(id).unwrap());
+        let floor = surfels.take_while(|surfel| surfel.normal[2] > 0);
+        floor.map(|surfel| map.frame().frame.world_of(surfel.centroid)).collect()
+    });
+    let (mut n_half, mut most) = (0, 0.0f64);
+    for ([x, y, _], found) in places.into_iter().zip(irradiance(&light)) {
+        let n = 600;
+        let strips: Vec<f64> =
+            (0..n).map(|k| of_strip([x, y], (k as f64 + 0.5) / f64::from(n))).collect();
+        let first = ((1.0 - x).clamp(0.0, 1.0) * f64::from(n)).round() as usize;
+        let expected = strips[first..].iter().sum::<f64>() / f64::from(n);
+        // Twelve strips are seen or not by their middles, and the patch ends 0.001 too early.
+        let brightest = strips.iter().copied().fold(0.0, f64::max);
+        let off = (found - expected).abs() / brightest;
+        assert!(off <= 1.0 / 24.0 + 3e-3, "at {x:.3}: {found}, not {expected}: {off:.4}");
+        n_half += u32::from(x > 0.0 && x < 1.0);
+        most = most.max(off);
+        if !(-0.01..1.01).contains(&x) {
+            assert!((found / expected - 1.0).abs() < 1e-4 || found == expected, "at {x}: {found}");
+        }
+    }
+    assert!(n_half > 50, "{n_half} surfels in half shadow");
+    println!("off by {most:.4} of the lamp's width at the most");
 }
 
 /// A wall of the room shines, all reflects in its colour: nothing names a length.

@@ -6,11 +6,12 @@ mod common;
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use pvmap::geometry::Positions;
-use pvmap::light::{Effect, LightOptions, Wishes};
+use pvmap::light::{Effect, LightOptions, Plan, Wishes, areas_grid2};
 use pvmap::scene::SceneKind;
-use pvmap::vmap::LightView;
+use pvmap::vmap::{LightView, MapView};
 use pvmap::{BuildConfig, LightReport, LightRequest, Quiet, Watch, light_map, light_map_telling};
 use tempfile::TempDir;
 
@@ -143,6 +144,38 @@ fn the_plan_is_told_before_anything_is_lit() {
     let after = heard.0.into_inner().unwrap();
     let lit = after.starts_with(&["areas", "plan", "lamps", "sky"]) && after.contains(&"solve");
     assert!(lit, "{after:?}");
+}
+
+/// Asks to stop once all effects are decided.
+#[derive(Default)]
+struct StopsAfterEffects {
+    n_decided: AtomicU64,
+    n_asked: AtomicU64,
+}
+
+impl Watch for StopsAfterEffects {
+    fn stage(&self, _name: &'static str, _total: Option<u64>, _unit: &'static str) {}
+
+    fn advance(&self, n: u64) {
+        self.n_decided.fetch_add(n, Ordering::Relaxed);
+    }
+
+    fn warn(&self, _message: &str) {}
+
+    fn is_stopped(&self) -> bool {
+        // The first time is when the last effects are counted.
+        let all = Effect::ALL.len() as u64;
+        self.n_decided.load(Ordering::Relaxed) == all
+            && self.n_asked.fetch_add(1, Ordering::Relaxed) > 0
+    }
+}
+
+#[test]
+fn who_asks_to_stop_while_a_way_out_is_looked_for_is_heard() {
+    let stage = Stage::room(SceneKind::Empty);
+    let request = stage.request(&format!("{GREY}{GLOW}"), LightOptions::default(), None);
+    let stopped = light_map(&request, &LIMITS, &StopsAfterEffects::default()).unwrap_err();
+    assert!(stopped.to_string().contains("interrupted"), "{stopped}");
 }
 
 /// A ground of some 1000 surfels, and over a place of it a small plate.
@@ -358,5 +391,141 @@ fn all_effects_forced_change_no_more_than_the_plan_says() {
         // Both are solved to the error asked for.
         let bound = 2.0 * 0.01 + planned.plan.skipped();
         assert!(off <= bound * sum, "{kind:?}: {} > {bound}", off / sum);
+    }
+}
+
+#[test]
+fn it_is_noted_what_mirrors_would_still_throw() {
+    let stage = Stage::new(&scene_cloud(SceneKind::Empty, 10_000));
+    let notes = |albedo: f64| {
+        let lights = format!(
+            "[albedo]\nfrom = {albedo:?}\n{GLOW}[[material]]\nall = true\nspecular = 0.5\n"
+        );
+        let options = LightOptions { error: 0.045, ..LightOptions::default() };
+        stage.light(&lights, options).notes_after
+    };
+    assert_eq!(notes(0.05), [""; 0]);
+    let told = notes(0.45);
+    assert!(told.len() == 1 && told[0].contains("after 5 rounds "), "{told:?}");
+}
+
+/// What leaves all surfels together: red, green, blue; and what of it the solver may lack.
+struct Flux {
+    plan: Plan,
+    leaves: [f64; 3],
+    residual: f64,
+}
+
+impl Stage {
+    /// Lights it with these effects forced.
+    fn flux(&self, lights: &str, forced: &[Effect]) -> Flux {
+        let mut wishes = Wishes::default();
+        forced.iter().for_each(|&effect| wishes.set(effect, true));
+        // As few photons as there are.
+        let options = LightOptions { error: 0.045, wishes, ..LightOptions::default() };
+        let LightReport { plan, done, .. } = self.light(lights, options);
+        let bytes = std::fs::read(self.map()).unwrap();
+        let areas = areas_grid2(&MapView::open(&bytes).unwrap()).unwrap();
+        let all = radiosity(&self.output());
+        let leaves = [0, 1, 2].map(|c| {
+            let rows = areas.iter().zip(all.chunks(3));
+            rows.map(|(area, b)| area * b[c]).sum()
+        });
+        Flux { plan, leaves, residual: done.unwrap().summary.residual }
+    }
+}
+
+/// Lights a scene as planned, with each effect alone that was left out for what it is worth, and
+/// with all: nothing changes by more than the plan says, but for what solving may leave. Gives what
+/// was left out for its worth.
+#[track_caller]
+fn left_out_within_bounds(what: &str, stage: &Stage, lights: &str) -> Vec<Effect> {
+    let planned = stage.flux(lights, &[]);
+    let decision = |&effect: &Effect| planned.plan.decision(effect);
+    let is_left_out = |effect: &Effect| !decision(effect).is_on && decision(effect).skipped > 0.0;
+    let left_out: Vec<Effect> = Effect::ALL.into_iter().filter(is_left_out).collect();
+    let alone = left_out.iter().map(|effect| (vec![*effect], decision(effect).skipped));
+    for (forced, skipped) in alone.chain([(Effect::ALL.to_vec(), planned.plan.skipped())]) {
+        let found = stage.flux(lights, &forced);
+        assert!(forced.iter().all(|&effect| found.plan.is_on(effect)));
+        let off: f64 = (0..3).map(|c| (found.leaves[c] - planned.leaves[c]).abs()).sum();
+        let off = off / found.leaves.iter().sum::<f64>();
+        let bound = skipped + found.residual + planned.residual;
+        println!("{what}: {:?} of {}: {off:.1e}, {skipped:.1e}", forced[0], forced.len());
+        assert!(off <= bound, "{what}: {forced:?}: {off:e} > {bound:e}\n{}", planned.plan);
+    }
+    left_out
+}
+
+#[test]
+fn what_mirrors_throw_where_no_lamp_shines_has_its_colour() {
+    // A spot on a floor that mirrors: the wall on its edge gets nothing but by way of it.
+    let floor = plate(60, 900, [0, 0, 0]);
+    let wall: Vec<_> = floor.iter().map(|p| [54_000, p[1], p[0]]).collect();
+    let n = floor.len();
+    let mut both = level(&[floor, wall]);
+    both.normals.iter_mut().for_each(|all| all[n..].fill([-1.0, 0.0, 0.0]));
+    let stage = Stage::new(&both);
+    let spot = "[albedo]\nfrom = 0.5\n[[spot]]\nposition = [14000, 27000, 30000]\n\
+                target = [34000, 27000, 0]\nangle = 8\nflux = 1e8\n\
+                [[material]]\nbox = [-100, -100, -100, 50000, 56000, 100]\n\
+                albedo = 0.0\nspecular = 0.9\n";
+    let red = "[[material]]\nbox = [53900, 17000, 10000, 54100, 37000, 40000]\n\
+               albedo = [0.7, 0.1, 0.1]\n";
+    left_out_within_bounds("a spot in a mirror", &stage, spot);
+    left_out_within_bounds("on red", &stage, &format!("{spot}{red}"));
+}
+
+#[test]
+fn a_mirror_that_sees_no_lamp_throws_what_others_reflect() {
+    // A plate that shines up, over a floor that mirrors.
+    let plates = [
+        plate(60, 900, [0, 0, 0]),
+        plate(20, 500, [20_000, 20_000, 9000]),
+        plate(60, 900, [0, 0, 40_000]),
+    ];
+    let n_up = plates[0].len() + plates[1].len();
+    let mut all = level(&plates);
+    all.normals.iter_mut().for_each(|all| all[n_up..].fill([0.0, 0.0, -1.0]));
+    let lights = "[albedo]\nfrom = 0.7\n\
+                  [[glow]]\nbox = [0, 0, 8000, 56000, 56000, 10000]\nexitance = 1.0\n\
+                  [[material]]\nbox = [-100, -100, -100, 56000, 56000, 100]\n\
+                  albedo = 0.1\nspecular = 0.8\n";
+    left_out_within_bounds("indirect light", &Stage::new(&all), lights);
+}
+
+#[test]
+fn mirrors_glass_and_colours_change_no_more_than_the_plan_says() {
+    let stage = Stage::new(&scene_cloud(SceneKind::Furnished, 10_000));
+    let glossy = |share: f64| {
+        format!(
+            "[[material]]\nbox = [-1000, 54900, -1000, 56000, 56000, 56000]\nalbedo = 0.05\n\
+             specular = {share:?}\n\
+             [[material]]\nsphere = [39000, 18000, 9000, 9200]\nalbedo = 0.02\n\
+             transmissive = {share:?}\nrefraction = 1.5\n"
+        )
+    };
+    let tint = |by: f64| {
+        let red = 0.5 + by;
+        format!(
+            "[[material]]\nbox = [-1000, -1000, -100, 20000, 20000, 100]\n\
+             albedo = [{red:?}, 0.5, 0.5]\n"
+        )
+    };
+    let bright = format!("[albedo]\nfrom = 0.5\n{GLOW}[sky]\nradiance = 0.0001\n");
+    let scan = bright.replace("0.5", "\"scan\"");
+    let mut left_out = Vec::new();
+    for (what, lights) in [
+        ("gloss", format!("{bright}{}", glossy(0.9))),
+        ("colour", format!("{bright}{}", tint(0.3))),
+        ("gloss, hardly a colour", format!("{bright}{}{}", glossy(0.9), tint(1e-5))),
+        ("hardly any gloss, colours", format!("{scan}{LAMP}{}", glossy(1e-6))),
+        ("hardly any of both", format!("{bright}{}{}", glossy(1e-6), tint(1e-5))),
+        ("both", format!("{scan}{LAMP}{}", glossy(0.9))),
+    ] {
+        left_out.extend(left_out_within_bounds(what, &stage, &lights));
+    }
+    for effect in [Effect::Sky, Effect::Color, Effect::Caustics, Effect::DiffuseSpecularDiffuse] {
+        assert!(left_out.contains(&effect), "{effect:?} is left out nowhere");
     }
 }

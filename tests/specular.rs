@@ -13,9 +13,10 @@ use pvmap::light::{
 };
 use pvmap::lights::Lights;
 use pvmap::query::Map;
+use pvmap::scene::SceneKind;
 use pvmap::{BuildConfig, Quiet};
 
-use crate::common::{Cloud, LIMITS, build_with, ingest_with, room_cloud};
+use crate::common::{Cloud, LIMITS, build_with, ingest_with, room_cloud, scene_cloud};
 
 /// A piece of a surface: places and their normals.
 type Piece = Vec<([f64; 3], [f32; 3])>;
@@ -329,6 +330,26 @@ refraction = 1.5
     assert_eq!(unwanted.work.n_photons, 0);
     let plain = light(&bytes, lights.split("[[material]]").next().unwrap(), options).1;
     assert_eq!((plain.work.n_photons, plain.thrown.len()), (0, 0), "nothing mirrors");
+}
+
+#[test]
+fn what_mirrors_would_still_throw_after_five_rounds_is_told() {
+    let bytes = map_of_cloud(&scene_cloud(SceneKind::Empty, 12_000));
+    let left = |albedo: f64| {
+        let lights = format!(
+            "[albedo]\nfrom = {albedo:?}\n[[glow]]\nall = true\nexitance = 1.0\n\
+             [[material]]\nall = true\nspecular = 0.5\n"
+        );
+        light(&bytes, &lights, LightOptions { error: 0.045, ..usual() }).1.left_to_throw
+    };
+    assert_eq!(left(0.05), 0.0, "it comes to an end by itself");
+    // Where all is alike each round brings c ρ / (1 - ρ) of what the one before did, c what comes
+    // of 1 by mirrors alone, eight in a row at the most. A room of so few points loses some of it.
+    let (rho, c) = (0.45, 1.0 - 0.5f64.powi(8));
+    let first = (1.0 + rho * c) / (1.0 - rho) - 1.0;
+    let expected = 0.5 * first * (c * rho / (1.0 - rho)).powi(5);
+    let found = left(rho) / expected;
+    assert!((0.5..1.0).contains(&found), "{found} of what is left if nothing is lost");
 }
 
 /// Follows a ray from a place of a surfel nearest to it; gives light, and all places seen.

@@ -267,7 +267,7 @@ fn print(
     stages: &[StageDone],
 ) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    let LightDone { summary, work, output_bytes } = done;
+    let LightDone { summary, reflected, work, output_bytes } = done;
     writeln!(out, "{}", output.display())?;
     let channels = if summary.n_channels == 1 { "one channel" } else { "three channels" };
     let without = match report.n_without_normal {
@@ -280,7 +280,11 @@ fn print(
         (_, 0) => "pair by pair".to_owned(),
         (_, p) => format!("multipoles of order {p}"),
     };
-    writeln!(out, "  light     {how}")?;
+    let bounces = match *reflected {
+        0.0 => String::new(),
+        most => format!("; a bounce leaves at most {:.2} % of it", 100.0 * most),
+    };
+    writeln!(out, "  light     {how}{bounces}")?;
     let errors = errors(summary);
     if !errors.is_empty() {
         writeln!(out, "  errors    {}", errors.join(", "))?;

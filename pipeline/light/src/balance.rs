@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::error::{LightError, check};
 use crate::exchange::Exchange;
 use crate::material::check_each;
+use crate::refine::{Refined, refine};
 use crate::solve::Operator;
 use crate::sum::sum;
 
@@ -17,6 +18,9 @@ const MAX_SCALE: f64 = 2.0;
 
 /// Scaling ends where a round leaves more than this of what rows are off by on average.
 const STALLED: f64 = 0.9;
+/// Tolerances of rows up to which each one counts, not their mean: who asks for so little asks for
+/// it everywhere.
+const EACH: f64 = 1e-5;
 /// How many times their mean rows of some elements may be off.
 const SAMPLE_DOUBT: f64 = 4.0;
 
@@ -78,7 +82,8 @@ impl<'a> Balanced<'a> {
 
     /// Scales until rows are off by no more than `tolerance` of all area on average, while that
     /// helps and at most `max_iterations` times, and then down what is still too large: some rows
-    /// of narrow corners take hundreds of rounds, and light must not grow there meanwhile.
+    /// of narrow corners take hundreds of rounds, and light must not grow there meanwhile. Where
+    /// the tolerance is very small, each row is brought as near in between.
     pub(crate) fn on_average(
         exchange: &'a Exchange,
         scene: Scene,
@@ -93,6 +98,9 @@ impl<'a> Balanced<'a> {
         };
         let mut balanced =
             Balanced::until(exchange, scene, (max_iterations, MAX_SCALE), watch, &is_enough)?;
+        if scene == Scene::Closed && tolerance <= EACH {
+            balanced.refine(tolerance, watch)?;
+        }
         for (d, (sum, area)) in balanced.scale.iter_mut().zip(balanced.row_sums.iter().zip(areas)) {
             // The others can only get less, too, so that no row is too large then.
             *d *= if sum > area { area / sum } else { 1.0 };
@@ -101,6 +109,16 @@ impl<'a> Balanced<'a> {
         balanced.row_error = mean_error(scene, areas, &balanced.row_sums);
         balanced.iterations += 1;
         Ok(balanced)
+    }
+
+    /// Goes on until each row is right that may be.
+    fn refine(&mut self, tolerance: f64, watch: &dyn Watch) -> Result<(), LightError> {
+        let from = (std::mem::take(&mut self.scale), std::mem::take(&mut self.row_sums));
+        let Refined { scale, row_sums, n_applications } =
+            refine(self.exchange, from, tolerance, watch)?;
+        (self.scale, self.row_sums) = (scale, row_sums);
+        self.iterations += n_applications;
+        Ok(())
     }
 
     fn until(

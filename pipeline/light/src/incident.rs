@@ -22,9 +22,11 @@ use crate::vector::{add, beside, cross, dot, norm, scale, sub};
 
 /// Elements that are done at a time.
 const CHUNK: usize = 256;
-/// Places of an area light along a side that are tried at first, and where some see and some not.
-const COARSE: usize = 4;
+/// Places of an area light along a side, in the middles of as many equal parts, where some see and
+/// some not; and those of them that are tried at first. The outermost are among these: an edge that
+/// all of them are on one side of leaves half a part beyond at the most.
 const FINE: usize = 12;
+const COARSE: [usize; 4] = [0, 4, 7, 11];
 /// Directions to the sky along a side of the square that they are drawn from.
 const SKY: usize = 8;
 pub(crate) const N_DIRECTIONS: usize = SKY * SKY;
@@ -190,8 +192,10 @@ impl<'a> Air<'a> {
         &self,
         lamps: &[Lamp],
         ids: &[u32],
+        watch: &dyn Watch,
     ) -> Result<Vec<([f64; 3], u64, u64)>, LightError> {
         let tries = ids.par_iter().map(|&id| {
+            check(watch)?;
             let mut row = Row::default();
             for lamp in lamps {
                 self.add(lamp, id, true, &mut row)?;
@@ -400,10 +404,10 @@ impl<'a> Air<'a> {
             Lamp::Area { corner, sides, .. } => (corner, sides),
         };
         let front = cross(u, v);
-        let mut share = |n: usize| {
+        let mut share = |parts: &[usize]| {
             let (mut open, mut all) = (0.0, 0.0);
-            for (a, b) in (0..n).flat_map(|a| (0..n).map(move |b| (a, b))) {
-                let at = |k: usize| (k as f64 + 0.5) / n as f64;
+            for (&a, &b) in parts.iter().flat_map(|a| parts.iter().map(move |b| (a, b))) {
+                let at = |k: usize| (k as f64 + 0.5) / FINE as f64;
                 let place = add(corner, add(scale(u, at(a)), scale(v, at(b))));
                 let to = sub(sub(place, self.origin), element.position);
                 let r2 = dot(to, to);
@@ -415,8 +419,9 @@ impl<'a> Air<'a> {
             }
             Ok::<_, LightError>(if all > 0.0 { open / all } else { 0.0 })
         };
-        let coarse = share(COARSE)?;
-        if coarse == 0.0 || coarse == 1.0 { Ok(coarse) } else { share(FINE) }
+        let coarse = share(&COARSE)?;
+        let all: [usize; FINE] = std::array::from_fn(|k| k);
+        if coarse == 0.0 || coarse == 1.0 { Ok(coarse) } else { share(&all) }
     }
 
     /// Says whether a place, measured from the cube's corner, sees an element.

@@ -115,6 +115,9 @@ pub struct Lit {
     pub open_sky: Vec<f32>,
     /// What mirrors and lenses sent on, by channel; empty where nothing was.
     pub thrown: Vec<ThrownFlux>,
+    /// What they would have sent on of reflected light if it had not been enough by then, as a
+    /// share of what is emitted and arrives; 0 where it came to an end by itself.
+    pub left_to_throw: f64,
     /// The scaling of the exchange, one number an element; 1 where nothing was exchanged.
     pub scale: Vec<f64>,
     /// The order of the grids; none where pairs were taken one by one, or not at all.
@@ -125,6 +128,8 @@ pub struct Lit {
     pub row_error: f64,
     /// Iterations of the solver, in the channel with the most.
     pub iterations: usize,
+    /// The share of light that a bounce leaves at the most, in the channel with the most.
+    pub reflected: f64,
     /// Flux that may be missing, as a share of what is emitted.
     pub residual: f64,
     /// What was touched.
@@ -211,11 +216,13 @@ impl<'a> Lighting<'a> {
             from_lamps,
             open_sky: open.share,
             thrown: Vec::new(),
+            left_to_throw: 0.0,
             scale: vec![1.0; n],
             order: None,
             operator_error: 0.0,
             row_error: 0.0,
             iterations: 0,
+            reflected: 0.0,
             residual: 0.0,
             work,
             stats: ExchangeStats::default(),
@@ -305,6 +312,7 @@ impl<'a> Lighting<'a> {
         for found in &found {
             lit.work.n_iterations += found.iterations as u64;
             lit.iterations = lit.iterations.max(found.iterations);
+            lit.reflected = lit.reflected.max(found.reflected);
             lit.residual = lit.residual.max(found.residual);
         }
         lit.operator_error =

@@ -143,7 +143,7 @@ impl Lighting<'_> {
         let decide =
             |(effect, call): (Effect, Call)| call.decided(effect, self.options.wishes.of(effect));
         let decisions = calls.into_iter().map(decide).collect();
-        let outlook = exchanges.then(|| self.outlook(watch)).transpose()?;
+        let outlook = exchanges.then(|| self.outlook(&Unheard(watch))).transpose()?;
         let plan = Plan { decisions, order, outlook };
         Ok(Planned { plan, exchange, n_lamp_tries: shining.tries.n_segments })
     }
@@ -227,17 +227,24 @@ impl Lighting<'_> {
             .costing(seconds)
     }
 
+    /// Says of each element whether it reflects light.
+    fn reflecting(&self) -> Vec<bool> {
+        let reflects = |id: usize| self.materials.channels.iter().any(|c| c.albedo[id] > 0.0);
+        (0..self.elements.len()).map(reflects).collect()
+    }
+
     fn call_bounces(&self, shining: &Shining, hierarchy: &Hierarchy) -> Result<Call, LightError> {
         let rho = self.max_albedo();
         if shining.flux == 0.0 || rho == 0.0 {
             let why = if rho == 0.0 { "nothing reflects" } else { "nothing shines" };
             return Ok(Call::off(why));
         }
-        let reflects = |id: usize| self.materials.channels.iter().any(|c| c.albedo[id] > 0.0);
-        let reflecting: Vec<bool> = (0..self.elements.len()).map(reflects).collect();
+        let reflecting = self.reflecting();
+        // What mirrors and lenses throw lights anything.
+        let everywhere = self.materials.has_gloss().then(|| vec![true; reflecting.len()]);
+        let is_lit = everywhere.as_ref().unwrap_or(&shining.is_lit);
         // Light that comes back from others: what is lit and reflects has a share of it, too.
-        let Some((a, b)) = first_link(self.map.view(), hierarchy, &shining.is_lit, &reflecting)?
-        else {
+        let Some((a, b)) = first_link(self.map.view(), hierarchy, is_lit, &reflecting)? else {
             return Ok(Call::off("no surfel that reflects is linked to one that is lit"));
         };
         let worth = self.options.worth;

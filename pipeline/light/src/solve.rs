@@ -56,6 +56,14 @@ pub enum Method {
     Jacobi,
 }
 
+/// How many times as far off as all light an element may be, as a share of what leaves it: by the
+/// flux of all alone a room with a weak lamp would be left in the dark beside one with a strong
+/// lamp. It takes no iteration more in furnished rooms and a cave with a lamp, 0.01 % to 10 % wrong.
+const MOST_OFF: f64 = 300.0;
+/// What an element sends counts no less there than this part of the tolerance of the mean: light
+/// that comes round ten corners is not waited for.
+const DARK: f64 = 1e-2;
+
 /// How far to go.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolveOptions {
@@ -97,6 +105,9 @@ pub struct Solution {
     pub irradiance: Vec<f64>,
     /// Iterations done.
     pub iterations: usize,
+    /// The share of light that a bounce leaves at the most, max ρ_i Σ_j G_ij / A_i, below 1: no
+    /// eigenvalue of (ρ/A) G is larger (Gershgorin).
+    pub reflected: f64,
     /// Flux that may be missing at the most, as a share of what is emitted.
     pub residual: f64,
     /// What the last iteration was done with.
@@ -146,12 +157,14 @@ pub(crate) fn solve_each(
     let emitted = |emission: &[f64]| sum(areas.iter().zip(emission).map(|(a, e)| a * e));
     let shines = channels.iter().any(|(emission, _)| emitted(emission) > 0.0);
     let row_sums = if shines { operator.row_sums()? } else { Vec::new() };
+    let area = sum(areas.iter().copied());
     let mut systems = Vec::new();
     for &(emission, albedo) in channels {
         let emitted = emitted(emission);
         if emitted > 0.0 {
-            let loss = 1.0 - reflected(operator, &row_sums, albedo)?;
-            systems.push(System { operator, emission, albedo, emitted, loss });
+            let reflected = reflected(operator, &row_sums, albedo)?;
+            let dark = DARK * options.tolerance * emitted / area;
+            systems.push(System { operator, emission, albedo, emitted, reflected, dark });
         }
     }
     let mut states = State::begin(&systems, options.method)?;
@@ -179,7 +192,8 @@ fn iterate<O: Operator>(
         for (system, state) in systems.iter().zip(states.iter_mut()) {
             let (residual, iterations) = (state.residual, state.iterations);
             // NaN is not below the limit: it must not pass for a solution.
-            if residual <= options.tolerance * system.loss * system.emitted {
+            let share = options.tolerance * system.loss();
+            if residual <= share * system.emitted && state.worst <= MOST_OFF * share {
                 continue;
             }
             if !residual.is_finite() {
@@ -203,7 +217,7 @@ fn iterate<O: Operator>(
     }
 }
 
-/// Gives max ρ_i Σ_j G_ij / A_i, a bound on what one bounce leaves of light; below 1.
+/// Gives max ρ_i Σ_j G_ij / A_i, the share of light that one bounce leaves at the most; below 1.
 fn reflected(
     operator: &impl Operator,
     row_sums: &[f64],
@@ -227,14 +241,21 @@ struct System<'a, O> {
     albedo: &'a [f64],
     /// Σ A E.
     emitted: f64,
-    /// What a bounce takes from light at the least, a share of it.
-    loss: f64,
+    /// What a bounce leaves of light at the most, a share of it.
+    reflected: f64,
+    /// The exitance that counts at the least.
+    dark: f64,
 }
 
 impl<O: Operator> System<'_, O> {
+    /// Gives what a bounce takes from light at the least, a share of it.
+    fn loss(&self) -> f64 {
+        1.0 - self.reflected
+    }
+
     /// Gives the flux that a residual may leave out, as a share of what is emitted.
     fn relative(&self, residual: f64) -> f64 {
-        residual / (self.emitted * self.loss)
+        residual / (self.emitted * self.loss())
     }
 
     /// Gives (ρ/A) v.
@@ -246,6 +267,14 @@ impl<O: Operator> System<'_, O> {
     /// Sums ρ |r|: the flux that a residual stands for.
     fn size(&self, residual: &[f64]) -> f64 {
         sum(self.albedo.iter().zip(residual).map(|(rho, r)| rho * r.abs()))
+    }
+
+    /// Gives the largest share that steps, flux an area, have in what leaves an element; NaN where
+    /// one is no number.
+    fn worst(&self, x: &[f64], steps: impl Iterator<Item = f64>) -> f64 {
+        let of_lit = |(b, step): (f64, f64)| step.abs() / b.max(self.dark);
+        let shares = self.lit(x).into_iter().zip(steps).map(of_lit);
+        shares.fold(0.0, |most, share| if share <= most { most } else { share })
     }
 
     /// Gives (A/ρ) x where something is reflected, else 0; x is 0 there.
@@ -273,6 +302,8 @@ struct State {
     /// r · (ρ/A) r.
     rz: f64,
     residual: f64,
+    /// What the residual is of the light of the element with the largest share of it.
+    worst: f64,
     iterations: usize,
 }
 
@@ -288,7 +319,9 @@ impl State {
         let states = systems.iter().zip(arriving).map(|(system, r)| {
             let p = system.reflect(&r);
             let (rz, residual) = (dot(&r, &p), system.size(&r));
-            State { method, x: vec![0.0; r.len()], r, p, rz, residual, iterations: 0 }
+            let x = vec![0.0; r.len()];
+            let worst = system.worst(&x, p.iter().copied());
+            State { method, x, r, p, rz, residual, worst, iterations: 0 }
         });
         Ok(states.collect())
     }
@@ -337,15 +370,17 @@ impl State {
         let turn = rz / self.rz;
         self.p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + turn * *p);
         (self.rz, self.residual) = (rz, system.size(&self.r));
+        self.worst = system.worst(&self.x, z.into_iter());
     }
 
     /// Adds one more bounce: x ← (ρ/A) G (E + x).
     fn jacobi_step<O: Operator>(&mut self, system: &System<'_, O>, arriving: &[f64]) {
         let next = system.reflect(arriving);
         let areas = system.operator.areas();
-        let steps = next.iter().zip(&self.x).zip(areas).map(|((next, x), a)| a * (next - x).abs());
+        let steps: Vec<f64> = next.iter().zip(&self.x).map(|(next, x)| next - x).collect();
         // What it was before this step; after it, less.
-        self.residual = sum(steps);
+        self.residual = sum(steps.iter().zip(areas).map(|(step, a)| a * step.abs()));
+        self.worst = system.worst(&next, steps.into_iter());
         self.x = next;
     }
 }
@@ -364,6 +399,7 @@ fn finish<O: Operator>(system: &System<'_, O>, state: State) -> Result<Solution,
         exitance: lit.collect(),
         irradiance: flux.iter().zip(areas).map(|(flux, area)| flux.max(0.0) / area).collect(),
         iterations: state.iterations,
+        reflected: system.reflected,
         residual: system.relative(state.residual),
         method: state.method,
         balance: FluxBalance { emitted: system.emitted, absorbed, escaped, clipped },
@@ -377,6 +413,7 @@ impl Solution {
             exitance: vec![0.0; n_elements],
             irradiance: vec![0.0; n_elements],
             iterations: 0,
+            reflected: 0.0,
             residual: 0.0,
             method,
             balance: FluxBalance { emitted: 0.0, absorbed: 0.0, escaped: 0.0, clipped: 0.0 },

@@ -113,8 +113,8 @@ impl Specular<'_> {
         let zeros = vec![vec![0.0; n]; n_channels];
         let none = vec![ThrownFlux::default(); n_channels];
         let mut thrown = Thrown { irradiance: zeros, flux: none, n_photons: 0 };
-        let flux = self.flux_from_elements(shining)?;
-        let of_outside = self.flux_from_outside(shining, n_channels)?;
+        let flux = self.flux_from_elements(shining.exitance)?;
+        let of_outside = self.flux_from_outside(shining, n_channels, watch)?;
         let glossy = self.glossy();
         let arriving = |k: usize| {
             let id = glossy[k] as usize;
@@ -162,18 +162,28 @@ impl Specular<'_> {
         Ok(thrown)
     }
 
+    /// Gives what glossy elements would send on of what elements emit, all channels together.
+    pub(crate) fn resent_of(&self, exitance: &[Vec<f64>]) -> Result<f64, LightError> {
+        let flux = self.flux_from_elements(exitance)?;
+        let glossy = self.glossy();
+        let of_channel = |flux: &Vec<f64>| {
+            sum(glossy.iter().map(|&id| self.optics.taken(id) * flux[id as usize]))
+        };
+        Ok(flux.iter().map(of_channel).sum())
+    }
+
     /// Lists the elements that mirror or let light through.
     pub(crate) fn glossy(&self) -> Vec<u32> {
         (0..self.optics.elements.len() as u32).filter(|&id| self.optics.taken(id) > 0.0).collect()
     }
 
     /// Gives what arrives at every element from others, by channel.
-    fn flux_from_elements(&self, shining: &Shining<'_>) -> Result<Vec<Vec<f64>>, LightError> {
+    fn flux_from_elements(&self, exitance: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, LightError> {
         let one = |exitance: &Vec<f64>| match self.balanced {
             Some(balanced) if exitance.iter().any(|&b| b > 0.0) => balanced.apply(exitance),
             _ => Ok(vec![0.0; exitance.len()]),
         };
-        shining.exitance.iter().map(one).collect()
+        exitance.iter().map(one).collect()
     }
 
     /// Gives what arrives at each glossy element from each lamp, and at last from the sky.
@@ -181,9 +191,11 @@ impl Specular<'_> {
         &self,
         shining: &Shining<'_>,
         n_channels: usize,
+        watch: &dyn Watch,
     ) -> Result<Vec<Vec<[f64; 3]>>, LightError> {
         let air = Air::new(self.optics.map, self.optics.elements);
         let one = |&id: &u32| {
+            check(watch)?;
             let area = self.optics.elements.areas()[id as usize];
             let flux = |irradiance: [f64; 3]| match n_channels {
                 3 => scale(irradiance, area),

@@ -17,12 +17,12 @@ const PHOTONS: f64 = 20.0;
 const MIN_PHOTONS: u64 = 10_000;
 const MAX_PHOTONS: u64 = 4_000_000;
 /// Rounds of light that is thrown, reflected and thrown again, at the most.
-pub(crate) const MAX_ROUNDS: u32 = 5;
+pub const MAX_ROUNDS: u32 = 5;
 
 impl Lighting<'_> {
     /// Adds what glossy elements throw to what arrives from outside: first of what shines, then of
-    /// what was reflected, until that is not worth it. Leaves the channels solved where it had to
-    /// solve them and nothing came after.
+    /// what was reflected, until that is not worth it or [`MAX_ROUNDS`] are done: `lit` says what
+    /// was left then. Leaves the channels solved where it had to solve them and nothing came after.
     pub(crate) fn throw(
         &self,
         scene: &Solved<'_>,
@@ -31,6 +31,12 @@ impl Lighting<'_> {
         watch: &dyn Watch,
     ) -> Result<Thrown, LightError> {
         let mut thrown = Thrown::default();
+        let shines: f64 = scene
+            .channels
+            .iter()
+            .zip(&*incident)
+            .map(|(given, incident)| self.flux_of(&given.emission) + self.flux_of(incident))
+            .sum();
         let hierarchy = Hierarchy::of_map(self.map.view())?;
         let surroundings = Surroundings::new(Arc::clone(&self.elements), hierarchy);
         let optics = Optics {
@@ -55,7 +61,7 @@ impl Lighting<'_> {
         if !scene.plan.is_on(Effect::DiffuseSpecularDiffuse) || scene.balanced.is_none() {
             return Ok(thrown);
         }
-        for _ in 0..MAX_ROUNDS {
+        for round in 0.. {
             self.solve_all(scene, incident, lit, watch)?;
             let new: Vec<Vec<f64>> = lit
                 .channels
@@ -65,6 +71,10 @@ impl Lighting<'_> {
                     lit.exitance.iter().zip(sent).map(|(b, sent)| (b - sent).max(0.0)).collect()
                 })
                 .collect();
+            if round == MAX_ROUNDS {
+                lit.left_to_throw = specular.resent_of(&new)? / shines;
+                return Ok(thrown);
+            }
             watch.stage("caustics", Some(n_glossy), "surfels");
             let shining = Shining { exitance: &new, lamps: &[], sky: None };
             let more = specular.pass(&shining, &mut most, watch)?;
@@ -73,8 +83,7 @@ impl Lighting<'_> {
             lit.channels.iter().zip(&mut sent).for_each(|(lit, sent)| {
                 sent.clone_from(&lit.exitance);
             });
-            let emitted: f64 = lit.channels.iter().map(|lit| lit.balance.emitted).sum();
-            if resent <= self.options.worth * emitted {
+            if resent <= self.options.worth * shines {
                 break;
             }
         }

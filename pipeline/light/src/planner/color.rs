@@ -49,8 +49,13 @@ impl Lighting<'_> {
             false => 0.0,
             true => on(&|_| brightest).min(most * shining.flux * shining.growth),
         };
+        // What mirrors and lenses gather may all arrive where the colour is.
+        let by_gloss = match most > 0.0 {
+            false => 0.0,
+            true => most * shining.all_thrown() * shining.growth,
+        };
 
-        let wrong = glowing + of_lamps + of_sky + by_lamps + by_sky + by_others;
+        let wrong = glowing + of_lamps + of_sky + by_lamps + by_sky + by_others + by_gloss;
         let evidence = match wrong {
             0.0 => "light and surfaces are grey".to_owned(),
             _ => {

@@ -58,8 +58,13 @@ impl Lighting<'_> {
         let most = rows().map(|(id, by)| by / areas[id]).fold(0.0, f64::max);
         let part = UNEVEN * sum(rows().map(|(_, by)| *by)) / sum(areas.iter().copied());
         let reflected = if shining.growth > 1.0 { most.min(part) * shining.growth } else { 0.0 };
+        // What mirrors and lenses gather may all arrive where most is changed.
+        let gathered = match shining.all_thrown() {
+            0.0 => 0.0,
+            flux => flux * self.max_albedo() * shining.growth,
+        };
         let what = format!("{n} pairs nearer than 3 radii, as {i} and {j}");
-        Call::on(what, shining.lasting(first) + reflected)
+        Call::on(what, shining.lasting(first + gathered * most) + reflected)
             .if_worth(self.options.worth)
             .costing(QUADRATURE * n as f64 * PAIR_SECONDS)
     }

@@ -30,43 +30,51 @@ impl Lighting<'_> {
             let none = || Call::off("nothing mirrors or lets light through");
             return Ok([mirror, refraction, none(), none()]);
         }
-        let areas = self.elements.areas();
         let is_glossy: Vec<bool> =
             gloss.iter().map(|one| one.specular + one.transmissive > 0.0).collect();
-        // No element gets more than the brightest sends, and all rows add up to 1 at the most.
-        let taken = sum((0..areas.len())
-            .map(|id| areas[id] * f64::from(gloss[id].specular + gloss[id].transmissive)));
-        let at_most = |exitance: f64| 3.0 * taken * exitance;
         let links = self.map.view();
-        let link = match first_link(links, hierarchy, &shining.is_lit, &is_glossy)? {
-            // A lamp may shine on a mirror and on nothing that sees it.
-            None => {
-                let both = is_glossy.iter().zip(&shining.is_lit).map(|(a, b)| *a && *b);
-                first_link(links, hierarchy, &both.collect::<Vec<_>>(), &vec![true; areas.len()])?
-            }
-            link => link,
-        };
         let call = |flux: f64, what: String| {
             let worth = self.options.worth;
             Call::on(what, shining.lasting(flux)).if_worth(worth).costing(photons)
         };
         let n = self.n_photons();
-        let Some((a, b)) = link else {
-            let why = "nothing lit sees what mirrors or lets light through";
-            // From outside light goes through glass that nobody sees, and by way of mirrors away.
-            let caustics = match shining.sent_on > 0.0 {
-                true => call(shining.sent_on, format!("lamps or sky shine on them: {n} photons")),
-                false => Call::off(why),
-            };
-            return Ok([mirror, refraction, caustics, Call::off(why)]);
+        let caustics = match first_link(links, hierarchy, &shining.is_lit, &is_glossy)? {
+            Some((a, b)) => {
+                call(shining.thrown[0], format!("link {a}-{b}, lit to glossy: {n} photons"))
+            }
+            // A lamp may shine on a mirror and on nothing that sees it.
+            None if shining.sent_on > 0.0 => {
+                call(shining.sent_on, format!("lamps or sky shine on them: {n} photons"))
+            }
+            None => Call::off("nothing lit sees what mirrors or lets light through"),
+        };
+        // What sees them may get light from anywhere, and by way of them, too.
+        let reflects = self.reflecting();
+        let again = match first_link(links, hierarchy, &reflects, &is_glossy)? {
+            Some((a, b)) => call(shining.thrown[1], format!("link {a}-{b}, reflecting to glossy")),
+            None => Call::off("nothing that reflects sees what mirrors or lets light through"),
+        };
+        Ok([mirror, refraction, caustics, again])
+    }
+
+    /// Gives what glossy elements send on of what shines, and of what is reflected.
+    pub(super) fn thrown_at_most(&self, shining: &Shining) -> [f64; 2] {
+        if !self.materials.has_gloss() {
+            return [0.0; 2];
+        }
+        let rows = self.materials.gloss.iter().zip(self.elements.areas());
+        let taken = rows.map(|(one, area)| area * f64::from(one.specular + one.transmissive));
+        // No element gets more than the brightest sends, and all rows add up to 1 at the most.
+        let taken = sum(taken);
+        let at_most = |exitance: f64| 3.0 * taken * exitance;
+        let again = match self.max_albedo() {
+            0.0 => 0.0,
+            rho => rho * shining.growth,
         };
         let lit = at_most(shining.most) + shining.sent_on;
-        let rho = self.max_albedo();
-        let reflected = if rho > 0.0 { at_most(shining.most * rho * shining.growth) } else { 0.0 };
-        let why = format!("link {a}-{b}, lit to glossy");
-        let caustics = call(lit, format!("{why}: {n} photons"));
-        let again = call(reflected, format!("{why}: what is reflected"));
-        Ok([mirror, refraction, caustics, again])
+        let reflected = at_most(shining.most * again);
+        // What was sent on once may all of it come back.
+        [lit, reflected + again * (lit + reflected)]
     }
 
     /// Calls for what is seen in mirrors and through glass, and for photons through it.

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use pvmap_store::Watch;
 use rayon::prelude::*;
 
-use crate::error::LightError;
+use crate::error::{LightError, check};
 use crate::incident::Air;
 use crate::lighting::Lighting;
 use crate::plan::Effect;
@@ -29,11 +29,15 @@ pub(super) struct Shining {
     pub(super) sky: SkyLook,
     /// Of the flux of lamps and sky what mirrors and lenses send on.
     pub(super) sent_on: f64,
+    /// What mirrors and lenses send on of what shines, and of what is reflected, at the most. They
+    /// gather it: there is a bound on all of it, but none on what a place gets.
+    pub(super) thrown: [f64; 2],
     /// By element: whether it emits, or a lamp or the sky may reach it.
     pub(super) is_lit: Vec<bool>,
     /// What arrives at each element from lamps if nothing is in between, by channel.
     pub(super) from_lamps: [Vec<f64>; 3],
-    /// The largest exitance that is not reflected twice, by what may arrive from outside.
+    /// The largest exitance that is not reflected twice, by what may arrive from outside, but not
+    /// by way of mirrors and lenses.
     pub(super) most: f64,
     /// All light for what is emitted, 1 / (1 - ρ) at the most; 1 without bounces.
     pub(super) growth: f64,
@@ -89,6 +93,11 @@ impl Shining {
     pub(super) fn lasting(&self, flux: f64) -> f64 {
         if flux == 0.0 { 0.0 } else { flux * self.growth / self.flux }
     }
+
+    /// Gives all that mirrors and lenses send on at the most.
+    pub(super) fn all_thrown(&self) -> f64 {
+        self.thrown[0] + self.thrown[1]
+    }
 }
 
 impl Lighting<'_> {
@@ -112,9 +121,9 @@ impl Lighting<'_> {
         let tries = match self.options.wishes.of(Effect::Occlusion) {
             // They shine through everything.
             Some(false) => Tries::default(),
-            _ => self.try_lamps(&air, &reach, growth)?,
+            _ => self.try_lamps(&air, &reach, growth, watch)?,
         };
-        let sky = self.look_at_sky(&air)?;
+        let sky = self.look_at_sky(&air, watch)?;
         let of_lamps = unblocked * tries.arriving();
         let of_sky = match (sky.n_directions, sky.best) {
             (1.., None) => sky.whole / sky.n_directions as f64,
@@ -129,12 +138,14 @@ impl Lighting<'_> {
             tries,
             sky,
             sent_on: 0.0,
+            thrown: [0.0; 2],
             is_lit: vec![false; n],
             from_lamps,
             most: 0.0,
             growth,
         };
         self.light_each(&mut shining);
+        shining.thrown = self.thrown_at_most(&shining);
         Ok(shining)
     }
 
@@ -163,7 +174,13 @@ impl Lighting<'_> {
 
     /// Tries segments to lamps from elements that are drawn by the flux that would arrive there:
     /// some, and where none is blocked as many as it takes to rule out what is worth anything.
-    fn try_lamps(&self, air: &Air<'_>, reach: &[f64], growth: f64) -> Result<Tries, LightError> {
+    fn try_lamps(
+        &self,
+        air: &Air<'_>,
+        reach: &[f64],
+        growth: f64,
+        watch: &dyn Watch,
+    ) -> Result<Tries, LightError> {
         let reached: Vec<u32> =
             (0..reach.len() as u32).filter(|&id| reach[id as usize] > 0.0).collect();
         // A number that is too large for an integer is cut.
@@ -176,7 +193,7 @@ impl Lighting<'_> {
         for n in [N_LOOKED_FROM, wanted.max(N_LOOKED_FROM)] {
             tries.is_all = reached.len() <= n;
             let ids = if tries.is_all { reached.clone() } else { drawn(&reached, reach, all, n) };
-            let found = air.try_lamps(&self.lamps, &ids)?;
+            let found = air.try_lamps(&self.lamps, &ids, watch)?;
             tries.n_tried = ids.len();
             tries.n_segments = found.iter().map(|row| row.1).sum();
             tries.n_blocked = found.iter().map(|row| row.2).sum();
@@ -196,13 +213,16 @@ impl Lighting<'_> {
     }
 
     /// Looks at the sky from some elements.
-    fn look_at_sky(&self, air: &Air<'_>) -> Result<SkyLook, LightError> {
+    fn look_at_sky(&self, air: &Air<'_>, watch: &dyn Watch) -> Result<SkyLook, LightError> {
         let Some(sky) = self.sky.filter(|sky| sky.radiance.iter().any(|&l| l > 0.0)) else {
             return Ok(SkyLook::default());
         };
         let areas = self.elements.areas();
         let ids = self.some(N_LOOKED_FROM);
-        let looks = ids.par_iter().map(|&id| air.sky_over(id, Some(sky.up)));
+        let looks = ids.par_iter().map(|&id| {
+            check(watch)?;
+            air.sky_over(id, Some(sky.up))
+        });
         let looks = looks.collect::<Result<Vec<_>, LightError>>()?;
         let rows = || ids.iter().zip(&looks).map(|(&id, look)| (id, f64::from(look.0)));
         let seen = sum(rows().map(|(id, share)| areas[id as usize] * share));

@@ -44,6 +44,43 @@ fn n74_what_may_not_converge_is_refused_before_it_begins() {
     }
 }
 
+/// The largest eigenvalue of (ρ/A) G, which has none below 0 of that size: power iteration.
+fn largest_eigenvalue(operator: &impl Operator, albedo: &[f64]) -> f64 {
+    let mut light = vec![1.0; albedo.len()];
+    let mut eigenvalue = 0.0;
+    for _ in 0..500 {
+        let flux = operator.apply(&light).unwrap();
+        let rows = flux.iter().zip(operator.areas()).zip(albedo);
+        let next: Vec<f64> = rows.map(|((flux, area), rho)| rho * flux / area).collect();
+        eigenvalue = most(next.iter().copied());
+        light = next.iter().map(|v| v / eigenvalue).collect();
+    }
+    eigenvalue
+}
+
+#[test]
+fn n74_no_eigenvalue_is_above_the_bound_that_is_told() {
+    let (exchange, emission, albedo) = lit_room();
+    let n = emission.len();
+    let closed = Balanced::new(&exchange, Scene::Closed, 1e-10, 200).unwrap();
+    let roofless: Vec<_> = box_room(5).into_iter().filter(|e| e.normal[2] >= 0.0).collect();
+    let open_room = open_exchange(&roofless, Kernel::default());
+    let open = Balanced::new(&open_room, Scene::Open, 1e-6, 500).unwrap();
+    let all = vec![0.9; n];
+    // Where all reflect alike and nothing escapes the bound is the eigenvalue.
+    for (operator, albedo, least) in
+        [(&closed, &all, 0.9), (&closed, &albedo, 0.5), (&open, &all, 0.5), (&open, &albedo, 0.3)]
+    {
+        let n = operator.areas().len();
+        let told = solve(operator, &emission[..n], &albedo[..n], &OPTIONS).unwrap().reflected;
+        let found = largest_eigenvalue(operator, &albedo[..n]);
+        assert!(found <= told * (1.0 + 1e-9) && told < 1.0, "{found} > {told}");
+        assert!(found >= least * (1.0 - 1e-9), "{found} < {least}");
+    }
+    let dark = solve(&closed, &vec![0.0; n], &all, &OPTIONS).unwrap();
+    assert_eq!(dark.reflected, 0.0);
+}
+
 #[test]
 fn n76_without_reflection_radiosity_is_emission_to_the_bit() {
     let (exchange, emission, _) = lit_room();
@@ -176,18 +213,22 @@ fn n81_a_weak_emitter_in_a_room_of_its_own_is_kept() {
     let exchange = exchange_where(&rooms, Kernel::default(), |i, j| (i < n) == (j < n));
     let alone = open_exchange(&room, Kernel::default());
     let lamp: Vec<f64> = (0..n).map(|i| f64::from(u8::from(i < 25))).collect();
-    let albedo = [vec![0.7; n], vec![0.999; n]];
-    let dark = vec![0.0; n];
     let strong: Vec<f64> = lamp.iter().map(|e| 1e12 * e).collect();
-    let own = closed(&alone, &lamp, &albedo[1], &OPTIONS).exitance;
-    let weak_of = |strong: &[f64]| {
-        let emission = [strong, &lamp].concat();
-        let found = closed(&exchange, &emission, &albedo.concat(), &OPTIONS);
-        off(&found.exitance[n..], &own)
-    };
-    assert!(weak_of(&dark) <= 1e-9, "{:e}", weak_of(&dark));
-    // Iterations end by the flux of all; those that the strong lamp takes serve the weak one, too.
-    assert!(weak_of(&strong) <= 1e-5, "{:e}", weak_of(&strong));
+    for weak in [0.1, 0.5, 0.999] {
+        let albedo = [vec![0.7; n], vec![weak; n]];
+        let own = closed(&alone, &lamp, &albedo[1], &OPTIONS).exitance;
+        for method in [Method::ConjugateGradients, Method::Jacobi] {
+            let options = SolveOptions { method, ..OPTIONS };
+            let weak_of = |strong: &[f64]| {
+                let emission = [strong, &lamp].concat();
+                let found = closed(&exchange, &emission, &albedo.concat(), &options);
+                off(&found.exitance[n..], &own)
+            };
+            let [alone, beside] = [weak_of(&vec![0.0; n]), weak_of(&strong)];
+            assert!(alone <= 1e-7, "albedo {weak}, {method:?}: {alone:e}");
+            assert!(beside <= 1e-6, "albedo {weak}, {method:?}: {beside:e} beside a strong one");
+        }
+    }
 }
 
 fn closed(exchange: &Exchange, e: &[f64], rho: &[f64], options: &SolveOptions) -> Solution {
