@@ -148,7 +148,7 @@ fn rows_that_do_not_fit_the_error_are_told() {
     let bench = built(&scene_cloud(SceneKind::Furnished, 20_000), "");
     let rough = run(&bench, &furnace(0.5), "--error 5%").ok();
     assert!(!rough.stderr.contains("rows of the exchange"), "{}", rough.stderr);
-    run(&bench, &furnace(0.5), "--error 1e-6").ok().warns(&["rows of the exchange are off by"]);
+    run(&bench, &furnace(0.5), "--error 0.01%").ok().warns(&["rows of the exchange are off by"]);
 }
 
 /// n points of a sphere of radius 2, facing inward: none is near another for the number there is.

@@ -3,8 +3,8 @@
 //! Scaling by square roots leaves of what rows are off by ½ (1 - λ) a round, λ an eigenvalue of the
 //! exchange: next to nothing of it goes where two surfaces see little but each other and λ is near
 //! -1. With d_i = exp(δ_i) times as much the rows s_i become A_i, to first order, where
-//! (diag(s) + G') δ = A - s: symmetric and positive definite but for that, so by conjugate gradients
-//! each step takes a few applications and squares what is left.
+//! (diag(s) + G') δ = A - s: symmetric and positive definite but for that, so each step takes a few
+//! applications by conjugate gradients and squares what is left.
 
 use pvmap_store::Watch;
 
