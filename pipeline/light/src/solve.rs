@@ -58,7 +58,7 @@ pub enum Method {
 
 /// How many times as far off as all light an element may be, as a share of what leaves it: by the
 /// flux of all alone a room with a weak lamp would be left in the dark beside one with a strong
-/// lamp. It takes no iteration more in furnished rooms and a cave with a lamp, 0.01 % to 10 % wrong.
+/// lamp. Furnished rooms and a cave with a lamp take no iteration more, 0.01 % to 10 % wrong.
 const MOST_OFF: f64 = 300.0;
 /// What an element sends counts no less there than this part of the tolerance of the mean: light
 /// that comes round ten corners is not waited for.
