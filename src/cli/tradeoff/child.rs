@@ -69,6 +69,8 @@ pub(super) struct Job<'a> {
     stage: [&'static str; 2],
     /// Without those of all jobs.
     arguments: Vec<OsString>,
+    /// The map, which has no name that means anything to anybody.
+    map: PathBuf,
     /// The folder it works in, which stays where it is ended.
     work: Option<PathBuf>,
     /// Whether its warnings are handed on.
@@ -96,6 +98,7 @@ impl<'a> Job<'a> {
             name: setting.name.clone(),
             stage: ["build", "pairs"],
             arguments: arguments.map(OsString::from).into(),
+            map: map.to_path_buf(),
             work: Some(map.with_extension("vmap.build")),
             is_heard: true,
         })
@@ -122,7 +125,8 @@ impl<'a> Job<'a> {
         ];
         let mut arguments: Vec<OsString> = arguments.map(OsString::from).into();
         arguments.extend(way.iter().map(OsString::from));
-        Job { args, name, stage: LIGHT, arguments, work: None, is_heard: true }
+        let map = map.to_path_buf();
+        Job { args, name, stage: LIGHT, arguments, map, work: None, is_heard: true }
     }
 }
 
@@ -258,7 +262,8 @@ impl Told<'_> {
         }
         let Ok(said) = serde_json::from_str::<Value>(line) else { return };
         if let Some(warning) = said["warning"].as_str().filter(|_| self.job.is_heard) {
-            watch.warn(warning);
+            let map = self.job.map.display().to_string();
+            watch.warn(&warning.replacen(&map, &self.job.name, 1));
         }
         let stage = said["stage"].as_str().unwrap_or_default();
         let number = |key: &str| said[key].as_u64().unwrap_or(0);
