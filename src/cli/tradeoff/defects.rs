@@ -8,7 +8,7 @@ use pvmap::scene::{MOST_POINTS, Scene};
 use pvmap::scenes::SceneRequest;
 use pvmap::tradeoff::defects::{Case, Defect, DefectKind, plot, table};
 use pvmap::tradeoff::{Judge, Sample, Setting, Truth};
-use pvmap::{Error, Limits, NormalsFrom, StoreError, Watch};
+use pvmap::{Error, Limits, NormalsFrom, Watch};
 use serde_json::{Value, json};
 
 use super::super::defects::{parse_length, parse_missing, parse_ratio, parse_share};
@@ -122,21 +122,13 @@ pub(super) fn run(args: &Args, context: &Context) -> Outcome {
     let outputs = Outputs::begin(args, &table::CSV_HEADER)?;
     let scene = Scene::new(kind, args.seed);
     let mut cases = Vec::new();
-    match measure(args, &scene, (n_points, n_pairs), &settings, context, &mut cases) {
-        Ok(()) => outputs.finish(
-            |file| table::write_csv(file, &cases),
-            || plot::draw(&cases),
-            || print(args, &cases, false),
-        )?,
-        Err(Error::Store(StoreError::Interrupted)) if !cases.is_empty() => {
-            // As with a sweep over settings.
-            if !outputs.are_stdout() {
-                print(args, &cases, true)?;
-            }
-            return Err(Error::Store(StoreError::Interrupted).into());
-        }
-        Err(e) => return Err(e.into()),
-    }
+    let measured = measure(args, &scene, (n_points, n_pairs), &settings, context, &mut cases);
+    outputs.finish(
+        (measured, !cases.is_empty()),
+        |file| table::write_csv(file, &cases),
+        || plot::draw(&cases),
+        |is_stopped| print(args, &cases, is_stopped),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

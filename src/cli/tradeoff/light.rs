@@ -14,7 +14,7 @@ use pvmap::tradeoff::light::{
 };
 use pvmap::tradeoff::{Built, Outcome, Row, Setting, Sweep};
 use pvmap::vmap::{FormatError, LightView};
-use pvmap::{Error, Limits, Mapped, StoreError, Watch};
+use pvmap::{Error, Limits, Mapped, Watch};
 use serde_json::{Value, json};
 
 use super::super::light::{parse_share, require_multipoles};
@@ -115,21 +115,13 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let subject = subject(args, lights, view.summary().n_points, known.as_deref());
     let lighting = Lighting { args, lights, source: &source, known, watch };
     let mut rows = Vec::new();
-    match lighting.measure_all(&maps, &settings, &mut rows) {
-        Ok(()) => outputs.finish(
-            |file| table::write_csv(file, &rows, &subject),
-            || plot::draw(&rows, &subject, args.want),
-            || print(args, &rows, &subject, false),
-        )?,
-        Err(Error::Store(StoreError::Interrupted)) if !rows.is_empty() => {
-            // As with a sweep over settings.
-            if !outputs.are_stdout() {
-                print(args, &rows, &subject, true)?;
-            }
-            return Err(Error::Store(StoreError::Interrupted).into());
-        }
-        Err(e) => return Err(e.into()),
-    }
+    let measured = lighting.measure_all(&maps, &settings, &mut rows);
+    outputs.finish(
+        (measured, !rows.is_empty()),
+        |file| table::write_csv(file, &rows, &subject),
+        || plot::draw(&rows, &subject, args.want),
+        |is_stopped| print(args, &rows, &subject, is_stopped),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

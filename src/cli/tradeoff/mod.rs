@@ -21,7 +21,7 @@ use pvmap::tradeoff::{
     Axes, Built, Clock, Judge, Outcome, Row, Sample, Setting, Share, Subject, Sweep, plot,
 };
 use pvmap::vmap::OctreeView;
-use pvmap::{Error, Limits, Mapped, StoreError, Watch};
+use pvmap::{Error, Limits, Mapped, Watch};
 use serde_json::{Value, json};
 
 use self::child::Measured;
@@ -263,21 +263,12 @@ pub(super) fn run(args: &Args, context: &Context) -> Answer {
     let mut rows = Vec::new();
     let measured =
         measure_all(args, &sweep.settings, (&source, &view), &sample, context, &mut rows);
-    match measured {
-        Ok(()) => outputs.finish(
-            |file| table::write_csv(file, &rows, &subject),
-            || plot::draw(&rows, &subject, args.want),
-            || print(args, &rows, &subject, false),
-        )?,
-        Err(Error::Store(StoreError::Interrupted)) if !rows.is_empty() => {
-            // It may have taken an hour: what is known is told, but no file is there in part.
-            if !outputs.are_stdout() {
-                print(args, &rows, &subject, true)?;
-            }
-            return Err(Error::Store(StoreError::Interrupted).into());
-        }
-        Err(e) => return Err(e.into()),
-    }
+    outputs.finish(
+        (measured, !rows.is_empty()),
+        |file| table::write_csv(file, &rows, &subject),
+        || plot::draw(&rows, &subject, args.want),
+        |is_stopped| print(args, &rows, &subject, is_stopped),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -37,18 +37,27 @@ impl Outputs {
     }
 
     /// Says whether one of them is what standard output is for.
-    pub(super) fn are_stdout(&self) -> bool {
+    fn are_stdout(&self) -> bool {
         self.csv.iter().chain(&self.svg).any(|file| is_stdout(file.path()))
     }
 
-    /// Writes them, and the answer where standard output is free for it.
+    /// Writes them, and the answer where standard output is free for it. Of a sweep that was
+    /// stopped after some rows these are printed, and no file is there in part: it may have taken
+    /// an hour.
     pub(super) fn finish(
         self,
+        (measured, has_rows): (Result<(), Error>, bool),
         csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
         drawing: impl FnOnce() -> String,
-        print: impl FnOnce() -> io::Result<()>,
+        print: impl FnOnce(bool) -> io::Result<()>,
     ) -> anyhow::Result<()> {
         let is_free = !self.are_stdout();
+        if let Err(e) = measured {
+            if matches!(e, Error::Store(StoreError::Interrupted)) && has_rows && is_free {
+                print(true)?;
+            }
+            return Err(e.into());
+        }
         let mut closed = Vec::new();
         if let Some(mut file) = self.csv {
             let path = file.path().to_path_buf();
@@ -64,7 +73,7 @@ impl Outputs {
             file.publish(false)?;
         }
         if is_free {
-            print()?;
+            print(false)?;
         }
         Ok(())
     }
